@@ -75,9 +75,9 @@ def play(
     return logs, watched, env, validity
 
 
-def passed(logs: Sequence[Rollout], task: Task, least_distance: float, prefix: str = "") -> dict[str, Any]:
+def passed(logs: Sequence[Rollout], task: Task, prefix: str = "") -> dict[str, Any]:
     """Shares of episodes that succeeded and that stayed upright, the first with Wilson's 95 % interval."""
-    successes = sum(succeeded(log, task, least_distance) for log in logs)
+    successes = sum(succeeded(log, task) for log in logs)
     return {
         f"evaluation.{prefix}success": successes / len(logs),
         f"evaluation.{prefix}success_interval": list(wilson_interval(successes, len(logs))),
@@ -135,7 +135,7 @@ def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str,
     margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
     numbers = {
         "evaluation.baseline": str(cfg.baseline),
-        **passed(logs, task, cfg.least_distance, "baseline_"),
+        **passed(logs, task, "baseline_"),
         "evaluation.baseline_return_mean": float(np.mean(others)),
         "evaluation.baseline_returns": others,
         "evaluation.margin": float(np.mean(margins)),
@@ -177,7 +177,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         "evaluation.model": str(cfg.model or robot.file.law or "own"),
         "evaluation.policy": str(cfg.policy),
         "evaluation.episodes": len(logs),
-        **passed(logs, task, cfg.least_distance),
+        **passed(logs, task),
         "evaluation.return_mean": float(np.mean(returns)),
         "evaluation.return_std": float(np.std(returns)),
         "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),  # type: ignore

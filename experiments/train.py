@@ -149,10 +149,14 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
 
 
 def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
-    """The robot's plane of symmetry; none where its file names no mirror partners, or samples are not mirrored."""
+    """The robot's plane of symmetry; none where samples are not mirrored, or something has no image."""
     if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
         return None
-    return Mirror(task.layout, task.history, action_map)
+    try:
+        return task.mirror(action_map)
+    except ValueError as error:
+        print(f"Samples are not mirrored: {error}.")
+        return None
 
 
 def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
@@ -280,10 +284,11 @@ def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
     for index, joint in enumerate(action_map.joints):
         kinds.setdefault(joint[2:].replace("ank", "ankle").replace("_", " "), []).append(index)
     angles = {kind: position[..., i] - middle[i] for kind, i in kinds.items()}
-    return {
-        "P gains over an evaluation.": histogram_figure({k: gain[..., i] for k, i in kinds.items()}, "P gain [A/rad]"),
-        "Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]"),
-    }
+    figures = {"Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]")}
+    if action_map.gain_low is not None:
+        gains = {kind: gain[..., i] for kind, i in kinds.items()}
+        figures["P gains over an evaluation."] = histogram_figure(gains, "P gain [A/rad]")
+    return figures
 
 
 @hydra.main(config_path="../conf", config_name="train", version_base="1.3")

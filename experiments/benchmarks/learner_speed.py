@@ -23,7 +23,6 @@ from torchrl.envs import EnvBase
 from torchrl.modules import MLP, ValueOperator
 from torchrl.objectives import LossModule, SACLoss
 
-from op3.policy.mirror import Mirror
 from op3.report import machine
 from op3.tasks import find_task
 from op3.train import SAC, OffPolicy
@@ -101,7 +100,7 @@ def rollout(observation: int, action: int) -> TensorDict:
 def updates_of(kind: type[OffPolicy], task: str, **settings: object) -> Callable[[], object]:
     """An update of an algorithm with the recipe of a task."""
     chosen = find_task(task)
-    (size, actions), mirror = sizes(task), Mirror(chosen.layout, chosen.history, chosen.action_map())
+    (size, actions), mirror = sizes(task), chosen.mirror(chosen.action_map())
     algorithm = kind(Shape(size, actions), mirror=mirror, **{**RECIPES[task], **COMMON, **settings})
     algorithm.take(rollout(size, actions))
     return lambda: algorithm.update(algorithm.buffer.sample())

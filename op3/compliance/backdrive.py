@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import load_robot
+from op3.robot import Robot
 from op3.robot.units import POSITION_UNIT
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation
@@ -39,21 +39,24 @@ class BackDrive:
     Attributes:
         break_away: torque at which the joint moves [N m]; NaN where it never does.
         slope: further torque per further angle [N m/rad]; NaN where the joint hardly moves.
+        joints: names of the controlled ones.
     """
 
     break_away: Array
     slope: Array
+    joints: tuple[str, ...]
 
 
-def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array], num_threads: int = 1) -> BackDrive:
+def back_drive(
+    model: RobotModel, robot: Robot, position: Array, commands: Mapping[str, Array], num_threads: int = 1
+) -> BackDrive:
     """Hold the trunk, freeze the commands, and turn one controlled joint after the other, both ways.
 
     Args:
         position: joint angles of the states, ``[state, joint]`` in rad.
         commands: in force there, by the names of `BatchSimulation.command`, ``[state, joint]``.
     """
-    setup = Setup.of_mount("stand")
-    robot = load_robot()
+    setup = Setup.of_mount("stand", robot=robot)
     turned = robot.indices(robot.controlled)
     shape = (len(position), len(turned), 2)
     rows = np.prod(shape)
@@ -79,7 +82,8 @@ def back_drive(model: RobotModel, position: Array, commands: Mapping[str, Array]
         if (moved[step] >= FITTED).all():
             grown, moved = grown[: step + 1], moved[: step + 1]
             break
-    return BackDrive(*(values.reshape(shape) for values in _fits(grown, moved)))
+    break_away, slope = (values.reshape(shape) for values in _fits(grown, moved))
+    return BackDrive(break_away, slope, robot.controlled)
 
 
 def _twister(simulation: BatchSimulation, joint: NDArray[np.int64]) -> Callable[[Array], None]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.intervals import with_interval
-from op3.robot import load_robot
+from op3.robot import Robot
 from op3.robot.units import GRAVITY
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -40,34 +40,36 @@ class Energy:
         cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
         current: root of the mean square of each motor's current, [joint] in A.
         temperature: of each after an hour like this [C], [joint].
+        joints: names.
         drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where an
             hour may be reckoned from them.
-        continuous: current that a servo carries for ever [A].
+        continuous: current that each servo carries for ever, of the weakest [A].
     """
 
     power: Array
     cost_of_transport: Array | None
     current: Array
     temperature: Array
+    joints: tuple[str, ...]
     drift: float
     continuous: float
 
     @property
     def hottest(self) -> str:
         """The joint that gets hottest."""
-        return load_robot().joints[int(self.temperature.argmax())]
+        return self.joints[int(self.temperature.argmax())]
 
 
-def measure_energy(logs: Sequence[Rollout], model: RobotModel, mass: float, travels: bool) -> Energy:
+def measure_energy(logs: Sequence[Rollout], model: RobotModel, robot: Robot, mass: float, travels: bool) -> Energy:
     """The costs of episodes, from their logs with `joint/current` and `joint/velocity`.
 
     Args:
         mass: of the robot [kg].
         travels: whether it walks, so that a cost of transport has a meaning.
     """
-    make = load_robot().servos[0]
-    resistance = model.tensors(load_robot().joints)["terminal_resistance"].numpy().reshape(-1)
-    constant = torque_per_current(model)
+    resistance = model.tensors(robot.joints)["terminal_resistance"].numpy().reshape(-1)
+    constant = torque_per_current(model, robot)
+    thermal = np.array([servo.thermal_resistance for servo in robot.servos])
     powers, costs, losses, halves = [], [], [], []
     for log in logs:
         kept = log.array("time")[:, 0] >= min(SETTLED, 0.5 * log.duration)
@@ -87,20 +89,21 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, mass: float, trav
         power=with_interval(powers),
         cost_of_transport=with_interval(costs) if costs else None,
         current=np.sqrt(loss / resistance),
-        temperature=temperature_after(loss, make.thermal_resistance),
+        temperature=temperature_after(loss, thermal),
+        joints=robot.joints,
         drift=float(second / first - 1) if first > 0 else 0.0,
-        continuous=make.continuous_current,
+        continuous=min(servo.continuous_current for servo in robot.servos),
     )
 
 
-def torque_per_current(model: RobotModel) -> Array:
+def torque_per_current(model: RobotModel, robot: Robot) -> Array:
     """Torque of each motor at its gear's output [N m/A], [joint]: torque constant times gear ratio, without losses."""
     motor: Any = model.effect("motor")
-    constant = model.tensors(load_robot().joints)["torque_constant"].numpy().reshape(-1)
-    return np.broadcast_to(constant * motor.gear_ratio, len(load_robot().joints))
+    constant = model.tensors(robot.joints)["torque_constant"].numpy().reshape(-1)
+    return np.broadcast_to(constant * motor.gear_ratio, len(robot.joints))
 
 
-def temperature_after(loss: Array, resistance: float, duration: float = HOUR) -> Array:
+def temperature_after(loss: Array, resistance: Array | float, duration: float = HOUR) -> Array:
     """Temperature [C] of servos that begin at `AMBIENT` and lose a steady power [W] as heat, after `duration` [s].
 
     One heat capacity, dT/dt = (ambient + resistance loss - T) / `WARMING`, solved.

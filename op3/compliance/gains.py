@@ -46,6 +46,7 @@ class Gains:
         softening: mean over the joints of support minus swing by contact, with its interval, [3] in A/rad.
         landing: the same of the 100 ms after touchdown minus swing, [3] in A/rad.
         stiffness: torque at the output per gain, ``[joint]`` in N m/A: what makes a stiffness of a gain.
+        joints: names of the controlled ones.
     """
 
     phase: Array
@@ -57,6 +58,7 @@ class Gains:
     softening: Array
     landing: Array
     stiffness: Array
+    joints: tuple[str, ...]
 
 
 def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: RobotModel) -> Gains:
@@ -66,8 +68,8 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
         logs: one per robot, with `command/p_gain`.
         model: of the robots, for the torque that a current gives.
     """
-    known = load_robot()
-    columns, foot = known.indices(known.controlled), np.array([foot_of(joint) for joint in known.controlled])
+    known = load_robot(task.robot)
+    columns, foot = known.indices(known.controlled), np.array([foot_of(joint, known) for joint in known.controlled])
     means, profiles, loads = [], [], []
     situations: dict[str, list[Array]] = {name: [] for name in SITUATIONS}
     for robot, log in enumerate(logs):
@@ -94,7 +96,8 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
         by_situation={name: with_interval(rows) for name, rows in by_situation.items()},
         softening=with_interval(np.nanmean(by_situation["support"] - by_situation["swing"], 1)),
         landing=with_interval(np.nanmean(by_situation["landed"] - by_situation["swing"], 1)),
-        stiffness=torque_per_current(model)[columns],
+        stiffness=torque_per_current(model, known)[columns],
+        joints=known.controlled,
     )
 
 

@@ -18,6 +18,7 @@ from op3.envs.tracking import AXES, measure_obedience
 from op3.intervals import wilson_interval
 from op3.policy import PolicyBundle
 from op3.policy.card import Card
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import Parameter, RobotModel, catalogue
 from op3.settings import Named, Number, Positive, nearest, settings
@@ -218,7 +219,7 @@ def _commands(
 
 
 def _cost(logs: list[Rollout], model: RobotModel, mass: float, task: Task) -> dict[str, Any]:
-    energy = measure_energy(logs, model, mass, travels=task.cycle is not None)
+    energy = measure_energy(logs, model, load_robot(task.robot), mass, travels=task.cycle is not None)
     current = float(np.mean([np.abs(log.array("joint/current")).mean() for log in logs]))
     transport = (
         {} if energy.cost_of_transport is None else {"cost_of_transport": round(float(energy.cost_of_transport[0]), 3)}

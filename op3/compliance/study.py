@@ -19,13 +19,12 @@ from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
 from op3.envs.traces import SKIPPED, Traces, Watch
-from op3.policy import ActionMap
-from op3.robot import SinusoidalGait
+from op3.robot import SinusoidalGait, load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.settings import Count, Positive, settings
 from op3.tasks.baselines import StiffWalk, position_mode
-from op3.tasks.evaluation import LEAST_DISTANCE, succeeded
+from op3.tasks.evaluation import succeeded
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import Task, find_task
 
@@ -165,7 +164,7 @@ class Study:
             landings=landings,
             survival=survive_pushes(actor, self.model, self.task, **ladder, **known),
             led=lead(actor, self.model, self.task, episodes=sizes.lead_episodes, **known) if led else {},
-            energy=measure_energy(logs, self.model, mass, travels=True),
+            energy=measure_energy(logs, self.model, load_robot(self.task.robot), mass, travels=True),
             back_drive=self._back_drive(actor, logs),
             gains=None if actor.stiff else measure_gains(logs, traces, self.task, self.model),
         )
@@ -180,13 +179,14 @@ class Study:
         actor = find_actor(name, task, field="standing")
         print(f"{actor.label}: standing", flush=True)
         env = actor.environment(task, self.model, STANDING, self.seed, **self._options)
-        return measure_energy(record_episodes(env, actor.policy), self.model, _mass(env), travels=False)
+        logs = record_episodes(env, actor.policy)
+        return measure_energy(logs, self.model, env.mdp.robot, _mass(env), travels=False)
 
     def stiff_landings(self) -> Landings:
         """Landings of stiff walks with steps and foot heights of a whole family, each in as many episodes."""
         print("stiff walks: landings", flush=True)
         gaits = [SinusoidalGait(step=step, foot_height=height) for step, height in FAMILY]
-        actor = Actor("stiff walks", StiffFamily(gaits), ActionMap.around_stand())
+        actor = Actor("stiff walks", StiffFamily(gaits), self.task.action_map())
         return self._watched(actor, len(FAMILY) * max(1, round(self.sizes.episodes / len(FAMILY))))[1]
 
     def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
@@ -209,7 +209,9 @@ class Study:
         commands = {name: np.stack([log.array(key)[row] for log, row in taken]) for name, key in names.items()}
         position = np.stack([log.array("joint/position")[row] for log, row in taken])
         model = position_mode(self.model) if actor.stiff else self.model
-        return back_drive(model, position, commands, num_threads=self._options["num_threads"])
+        return back_drive(
+            model, load_robot(self.task.robot), position, commands, num_threads=self._options["num_threads"]
+        )
 
 
 def _mass(env: Any) -> float:
@@ -234,4 +236,4 @@ class StiffFamily(StiffWalk):
 
 def _passed(logs: Sequence[Rollout], task: Task) -> Passed:
     speeds = [log.metadata.travelled_distance / log.metadata.episode_duration for log in logs]  # type: ignore[operator]
-    return Passed(sum(succeeded(log, task, LEAST_DISTANCE) for log in logs), len(logs), float(np.mean(speeds)))
+    return Passed(sum(succeeded(log, task) for log in logs), len(logs), float(np.mean(speeds)))

@@ -19,7 +19,7 @@ BACKENDS = ("batched", "composer")
 
 def make_env(
     task: str | Task = "balance",
-    model: str | Path | RobotModel = "paper",
+    model: str | Path | RobotModel = "own",
     num_envs: int | None = None,
     seed: int = 0,
     backend: str = "batched",

@@ -44,7 +44,7 @@ class _Tape:
             ("command", "p_gain"): signals.p_gain,
             ("command", "d_gain"): signals.d_gain,
         }
-        if env.commander is not None or env.action_map.gain_low is None:
+        if env.commander is not None or all(servo.loop == "firmware" for servo in env.mdp.robot.servos):
             del row["command", "p_gain"], row["command", "d_gain"]
             row["command", "firmware_gain"] = signals.firmware_gain
         self.ticks.append({key: value.clone() for key, value in row.items()})
@@ -93,6 +93,7 @@ def _record_once(env: BatchedEnv, act: Policy, recording: str | None, first: int
     length = torch.zeros(env.num_envs, dtype=torch.int64)
     fallen = torch.zeros(env.num_envs, dtype=torch.bool)
     running = torch.ones(env.num_envs, dtype=torch.bool)
+    success = torch.zeros(env.num_envs, dtype=torch.bool)
     env.on_tick = tape.on_tick
     try:
         while running.any():
@@ -102,6 +103,7 @@ def _record_once(env: BatchedEnv, act: Policy, recording: str | None, first: int
             tape.fill(observation, state["action"], after["reward"])
             length += running * TICKS
             fallen |= running & after["terminated"][:, 0]
+            success = torch.where(running, after["measure", "success"][:, 0] > 0, success)
             running &= ~after["done"][:, 0]
             state = after.exclude("reward")
     finally:
@@ -109,7 +111,7 @@ def _record_once(env: BatchedEnv, act: Policy, recording: str | None, first: int
     tips = torch.stack([*tape.tips, _last_tip(env)]) if start is not None else None
     travelled = None if tips is None or start is None else tips - start
     return [
-        _log(env, tape, i, int(length[i]), bool(fallen[i]), travelled, recording and f"{recording}/{first + i}")
+        _log(env, tape, i, int(length[i]), fallen[i], success[i], travelled, recording and f"{recording}/{first + i}")
         for i in range(env.num_envs)
     ]
 
@@ -121,7 +123,14 @@ def _last_tip(env: BatchedEnv) -> Tensor:
 
 
 def _log(
-    env: BatchedEnv, tape: _Tape, robot: int, rows: int, fallen: bool, travelled: Tensor | None, recording: str | None
+    env: BatchedEnv,
+    tape: _Tape,
+    robot: int,
+    rows: int,
+    fallen: Tensor,
+    success: Tensor,
+    travelled: Tensor | None,
+    recording: str | None,
 ) -> Rollout:
     arrays: dict[Any, Tensor] = {
         key: torch.stack([row[key][robot] for row in tape.ticks[:rows]]) for key in tape.ticks[0]
@@ -129,7 +138,8 @@ def _log(
     arrays["time"] = torch.arange(rows, dtype=torch.float64)[:, None] * OP3_CONTROL_PERIOD
     arrays["done"] = torch.arange(rows)[:, None] == rows - 1
     drawn = {name: float(values[robot]) for name, values in env.parameters_drawn.items()}
-    extra: Mapping[str, Any] = {"task": env.task.name, **({"parameters": drawn} if drawn else {})}
+    extra: Mapping[str, Any] = {"task": env.task.name, "success": bool(success)}
+    extra = {**extra, **({"parameters": drawn} if drawn else {})}
     metadata = Metadata(
         joints=env.mdp.robot.joints,
         robot="simulated",
@@ -145,7 +155,7 @@ def _log(
         # the furthest that the inner tip of a foot has got
         travelled_distance=None if travelled is None else float(travelled[: rows + 1, robot].max()),
         episode_duration=rows * OP3_CONTROL_PERIOD,
-        fallen=fallen,
+        fallen=bool(fallen),
         extra=dict(extra),
     )
     return Rollout.from_arrays(arrays, metadata)

@@ -12,7 +12,7 @@ from op3.tasks.task import Task
 from op3.tasks.whole_step import Throughout
 
 MEASURES = ("peak_force", "peak_acceleration", "peak_penetration", "self_contact")
-"""What training logs of a step besides the reward, see `op3.tasks.whole_step.Throughout`."""
+"""What training logs of a step besides reward and success, see `op3.tasks.whole_step.Throughout`."""
 
 
 def set_specs(env: EnvBase, task: Task, action_map: ActionMap, observation_size: int, num_envs: int) -> None:
@@ -32,7 +32,7 @@ def set_specs(env: EnvBase, task: Task, action_map: ActionMap, observation_size:
     env.observation_spec = Composite(
         observation=numbers(observation_size),
         reward_terms=Composite({name: numbers(1) for name in task.reward_terms}, shape=batch),
-        measure=Composite({name: numbers(1) for name in MEASURES}, shape=batch),
+        measure=Composite({name: numbers(1) for name in (*MEASURES, "success")}, shape=batch),
         shape=batch,
     )
     env.action_spec = Bounded(-1.0, 1.0, shape=torch.Size([num_envs, action_map.size]), dtype=torch.float32)
@@ -51,10 +51,11 @@ def answer(
 
     none = torch.zeros(count, dtype=torch.bool)
     terminated, truncated = (none, none) if outcome is None else (outcome.terminated, outcome.truncated)
+    success = None if outcome is None else outcome.success
     content = {
         "observation": observation.float(),
         "reward_terms": {name: column(None if outcome is None else outcome.terms[name]) for name in task.reward_terms},
-        "measure": {name: column(getattr(throughout, name, None)) for name in MEASURES},
+        "measure": {name: column(getattr(throughout, name, None)) for name in MEASURES} | {"success": column(success)},
         "done": (terminated | truncated)[:, None],
         "terminated": terminated.clone()[:, None],
         "truncated": truncated.clone()[:, None],

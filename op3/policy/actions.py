@@ -32,21 +32,22 @@ controlled joint inside its soft limits, so that action 0 is the stand pose.
 
 
 HELD_GAIN = 6.0
-"""P gain of the joints that a policy does not command [A/rad]; they hold the stand pose."""
+"""P gain that a policy does not command [A/rad], as of joints that hold the stand pose."""
 
 
 @settings("action map")
 class ActionMap:
     """Actions in [-1, 1] as target angles and P gains, both linear in the action.
 
-    An action ``[..., 2 joint]`` holds first the angle of every joint, then its gain; of servos that close their own
-    loop it holds angles alone. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
+    An action ``[..., 2 joint]`` holds first the angle of every joint, then its gain; where nothing commands gains it
+    holds angles alone. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
 
     Attributes:
         joints: the controlled joints, in the order of the action.
         position_low: target angle [rad] of each joint at action -1.
         position_high: target angle [rad] of each joint at action +1.
-        gain_low: P gain at action -1 [A/rad]; None: the servos close their own loop and take no gains.
+        gain_low: P gain at action -1 [A/rad]; None: actions command no gains. Servos that take some then get
+            `HELD_GAIN`.
         gain_high: P gain at action +1 [A/rad]; equal to `gain_low`, the gain is fixed whatever the action says.
         d_gain: D gain of every joint [A s/rad].
         robot: whose joints these are.
@@ -171,17 +172,19 @@ class ActionMap:
 
         Returns:
             position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given;
-            the target alone for servos that close their own loop.
+            where servos close their own loop also firmware_gain in firmware units.
         """
         position, p_gain = self.targets(action)
         robot = load_robot(self.robot)
-        if self.gain_low is None:
-            return {"position_target": self._whole(robot.home, position)}
-        return {
+        nothing, count = position[..., :0], len(robot.joints)
+        commands = {
             "position_target": self._whole(robot.home, position),
-            "p_gain": self._whole(np.full(len(robot.joints), HELD_GAIN), p_gain),
-            "d_gain": self._whole(np.full(len(robot.joints), self.d_gain), position[..., :0]),
+            "p_gain": self._whole(np.full(count, HELD_GAIN), p_gain),
+            "d_gain": self._whole(np.full(count, self.d_gain), nothing),
         }
+        if any(robot.firmware_gain):
+            commands["firmware_gain"] = self._whole(robot.firmware_gain, nothing)
+        return commands
 
     def _whole(self, rest: NDArray[np.float64], values: Any) -> Any:
         """Values of the controlled joints among those of all joints at rest."""

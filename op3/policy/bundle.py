@@ -1,6 +1,8 @@
 """A policy as a folder: ``policy.pt`` with the weights and ``manifest.yaml`` with the rest."""
 
+import dataclasses
 import hashlib
+import json
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -79,8 +81,16 @@ class PolicyBundle:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of weights and manifest, 16 hexadecimal digits."""
-        digest = hashlib.sha256(self.manifest.to_yaml().encode())
+        """Hash of what the policy does, 16 hexadecimal digits: of weights and manifest without where they come from.
+
+        Fields at their defaults do not count, so that fields which later versions add change nothing.
+        """
+        fields = [f for f in dataclasses.fields(self.manifest) if f.name != "training"]
+        values = {f.name: getattr(self.manifest, f.name) for f in fields}
+        told = {
+            f.name: values[f.name] for f in fields if f.default is dataclasses.MISSING or values[f.name] != f.default
+        }
+        digest = hashlib.sha256(json.dumps(told, default=dataclasses.asdict, sort_keys=True).encode())
         for name in sorted(self.weights):
             digest.update(name.encode() + self.weights[name].contiguous().numpy().tobytes())
         return digest.hexdigest()[:16]

@@ -1,74 +1,76 @@
 """Images of what a policy sees and does in the robot's plane of symmetry, y = 0."""
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from op3.policy.actions import ActionMap
+from op3.policy.observation import Observer
+from op3.policy.observations import Sensed
 from op3.robot import load_robot
+
+AXIAL = (-1.0, 1.0, -1.0)
+"""Signs of the image of an axial vector, such as a rotation: its part along y stays, the others are reversed."""
+
+SAMPLES = 64
+"""Random states by which the image of an observation is found."""
+
+LEAST_LIKENESS = 0.99
+"""Of a number's image to a number of the original: cosine of the angle between their samples; left and right of a CAD
+model differ by a millimetre or so, and numbers that have nothing to do with each other have about 0."""
 
 
 class Mirror:
-    """Observations and actions of the robot's mirror image: the OP3 and its tasks are symmetric.
+    """Observations and actions of the robot's mirror image: robot and task are taken to be symmetric.
 
-    The image of a walk is half a cycle later, because the feet change their parts. Mirroring twice changes nothing.
+    The image of a walk is half a cycle later, because the feet change their parts. What mirroring does to a robot's
+    joints, its IMU, its commands and its gait is known; what it does to each number of an observation is found from
+    that: the terms look at random states and at their images, and each number of the image must be plus or minus one
+    number of the original. So terms of any kind have images, if they have.
 
     Args:
-        layout: name and size of each part of one observation, see `op3.policy.observation`.
-        history: how many earlier observations follow the latest.
+        observer: what the policy sees.
+        example: what one robot senses, ``[1, ...]``.
         action_map: what actions mean, and of which robot.
+        commands: signs of the image of each command, by name.
 
     Raises:
-        ValueError: if the robot has no plane of symmetry, a part of the observation has no known image, or a joint's
-            partner is not controlled.
+        ValueError: if the robot has no plane of symmetry, a joint's partner is not controlled, or a command or a number
+            of the observation has no image.
     """
 
-    def __init__(self, layout: Mapping[str, int], history: int, action_map: ActionMap):
+    def __init__(
+        self, observer: Observer, example: Sensed, action_map: ActionMap, commands: Mapping[str, Sequence[float] | None]
+    ):
         robot, joints = load_robot(action_map.robot), action_map.joints
         images = robot.mirror
         if alone := [name for name in joints if images[name][0] not in joints]:
             raise ValueError(f"{alone[0]} has no image: its partner {images[alone[0]][0]} is not controlled")
+        if alone := [name for name, signs in commands.items() if signs is None]:
+            raise ValueError(f"the command {alone[0]} has no known image: give its class mirror = (<signs>)")
         partner = [joints.index(images[name][0]) for name in joints]
-        sign = [float(images[name][1]) for name in joints]
-        size = len(joints)
-        gains = action_map.size - size
-        self._action = torch.tensor([*partner, *(size + i for i in partner[:gains])])
-        self._action_sign = torch.tensor([*sign, *[1.0] * gains])
-        feet = [leg[-1] for leg in robot.legs]
-        each = max(len(robot.file.key_points), len(feet)) // max(len(feet), 1)
-        # a point of a foot becomes the same point of the foot on the other side
-        points = [each * feet.index(images[foot][0]) + point for foot in feet for point in range(each)]
-        coordinates = torch.tensor([3 * point + axis for point in points for axis in range(3)])
-        every = robot.joints
-        whole = (
-            torch.tensor([every.index(images[name][0]) for name in every]),
-            torch.tensor([float(images[name][1]) for name in every]),
-        )
-        # a rotation is an axial vector: the reflection keeps its part along y and reverses the others
-        axial = torch.tensor([-1.0, 1.0, -1.0])
-        seen = {
-            "key_point_position": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
-            "key_point_velocity": (coordinates, torch.tensor([1.0, -1.0, 1.0] * len(points))),
-            "previous_action": (self._action, self._action_sign),
-            "orientation": tuple(part[: layout.get("orientation", 3)] for part in (torch.arange(3), axial)),
-            "angular_velocity": (torch.arange(3), axial),
-            "phase": (torch.arange(2), torch.tensor([-1.0, -1.0])),
-            "heading_error": (torch.arange(1), torch.tensor([-1.0])),
-            "command": (torch.arange(3), torch.tensor([1.0, -1.0, -1.0])),
-            "joint_position": whole,
-            "joint_velocity": whole,
+        gains = action_map.size - len(joints)
+        self._action = torch.tensor([*partner, *(len(joints) + i for i in partner[:gains])])
+        self._action_sign = torch.tensor([*(float(images[name][1]) for name in joints), *[1.0] * gains])
+        known = {
+            name: torch.tensor(signs, dtype=torch.float64) for name, signs in commands.items() if signs is not None
         }
+        seen = _random(example)
+        image = self._image(seen, robot.mirror, robot.joints, known)
         index, signs, first = [], [], 0
-        for name, size in layout.items():
-            if name not in seen or len(seen[name][0]) != size:
-                raise ValueError(f"the observation's part {name!r} of {size} numbers has no known mirror image")
-            index.append(first + seen[name][0])
-            signs.append(seen[name][1])
-            first += size
+        for term in observer.terms:
+            found = _signed_permutation(term(seen).numpy(), term(image).numpy())
+            if found is None:
+                raise ValueError(f"the observation {term.name!r} has no mirror image")
+            index.append(first + found[0])
+            signs.append(found[1])
+            first += observer.layout[term.name]
         frame = torch.cat(index)
-        self._observation = torch.cat([frame + first * k for k in range(history + 1)])
-        self._observation_sign = torch.cat(signs).repeat(history + 1)
+        self._observation = torch.cat([frame + first * k for k in range(observer.history + 1)])
+        self._observation_sign = torch.cat(signs).repeat(observer.history + 1)
 
     def observation(self, observation: Tensor) -> Tensor:
         """The image's observation ``[..., observation]``, history included."""
@@ -77,3 +79,60 @@ class Mirror:
     def action(self, action: Tensor) -> Tensor:
         """The image's action ``[..., action]``."""
         return action[..., self._action] * self._action_sign.to(action)
+
+    def _image(
+        self, seen: Sensed, images: Mapping[str, tuple[str, int]], joints: Sequence[str], commands: Mapping[str, Tensor]
+    ) -> Sensed:
+        """What the mirror images of robots sense."""
+        partner = [joints.index(images[name][0]) for name in joints]
+        sign = torch.tensor([float(images[name][1]) for name in joints], dtype=torch.float64)
+        axial = torch.tensor(AXIAL, dtype=torch.float64)
+        return Sensed(
+            joint_position=seen.joint_position[:, partner] * sign,
+            joint_velocity=seen.joint_velocity[:, partner] * sign,
+            previous_action=self.action(seen.previous_action),
+            orientation=None if seen.orientation is None else seen.orientation * axial,
+            angular_velocity=None if seen.angular_velocity is None else seen.angular_velocity * axial,
+            phase=None if seen.phase is None else torch.remainder(seen.phase + 0.5, 1.0),
+            commands={name: value * commands[name] for name, value in seen.commands.items()},
+        )
+
+
+def _random(example: Sensed) -> Sensed:
+    """States about that of an example."""
+    generator = torch.Generator().manual_seed(0)
+
+    def scattered(values: Tensor | None, size: float = 0.3) -> Tensor | None:
+        if values is None:
+            return None
+        noise = torch.randn(SAMPLES, *values.shape[1:], generator=generator, dtype=torch.float64)
+        return values.to(torch.float64) + size * noise
+
+    names = [f.name for f in dataclasses.fields(Sensed) if f.init and f.name != "commands"]
+    values = {name: scattered(getattr(example, name)) for name in names}
+    commands = {name: scattered(value) for name, value in example.commands.items()}
+    return Sensed(**values, commands=commands)  # type: ignore[arg-type]
+
+
+def _signed_permutation(original: np.ndarray, image: np.ndarray) -> tuple[Tensor, Tensor] | None:
+    """Of which number of the original, and with which sign, each number of the image is; None where there is none.
+
+    Args:
+        original: samples, ``[sample, number]``.
+        image: of the same, ``[sample, number]``.
+    """
+    size = np.linalg.norm(original, axis=0), np.linalg.norm(image, axis=0)
+    likeness = (image.T @ original) / np.maximum(np.outer(size[1], size[0]), 1e-12)
+    still = size[1] < 1e-9  # numbers that are always 0 are their own images
+    likeness[still, still] = 1.0
+    # where several are alike, the number itself goes first
+    nearest = np.argmax(np.abs(likeness) + 1e-6 * np.eye(len(likeness)), axis=1)
+    rows = np.arange(len(nearest))
+    sign = np.sign(likeness[rows, nearest])
+    off = np.linalg.norm(image - sign * original[:, nearest], axis=0)
+    alike = (np.abs(likeness[rows, nearest]) >= LEAST_LIKENESS) & (
+        off <= 2 * np.sqrt(1 - LEAST_LIKENESS) * size[1] + 1e-9
+    )
+    if not alike.all():
+        return None
+    return torch.from_numpy(nearest), torch.from_numpy(sign).float()

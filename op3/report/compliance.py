@@ -15,7 +15,6 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import GRID, bars_figure, colours, dress, grid_figure, shade, words
 from op3.report.tables import TableRows, span
-from op3.robot import load_robot
 from op3.tasks.pushes import DIRECTIONS
 
 LANDING = ("force", "acceleration", "speed", "height")
@@ -34,7 +33,7 @@ def report_compliance(
     """
     first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
     energies = {each.label: each.energy for each in measured} | {f"{n}, standing": e for n, e in standing.items()}
-    currents = {label: dict(zip(load_robot().joints, e.current.tolist(), strict=True)) for label, e in energies.items()}
+    currents = {label: dict(zip(e.joints, e.current.tolist(), strict=True)) for label, e in energies.items()}
     limit: dict[str, Any] = dict(y=first.energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
     figures = {
         **({"gains": _gain_figure(known)} if known else {}),
@@ -61,7 +60,7 @@ def _tables(
     measured: Sequence[Measured], differences: Mapping[str, Difference], energies: Mapping[str, Energy]
 ) -> dict[str, TableRows]:
     quarters = range(0, DIRECTIONS, DIRECTIONS // 4)
-    joints = load_robot().joints
+    joints = next(iter(energies.values())).joints
     return {
         "walks": (
             ["policy", *(text for ground in measured[0].passed for text in (ground, "95 %", "m/s"))],
@@ -106,7 +105,7 @@ def _walk(passed: Any) -> tuple[str, str, float]:
 def _gain_tables(known: Mapping[str, Gains]) -> dict[str, TableRows]:
     """Gains of the first policy by joint, and of all by situation."""
     gains, rows = next(iter(known.values())), []
-    for row, joint in enumerate(load_robot().controlled):
+    for row, joint in enumerate(gains.joints):
         stiff = [float(gains.by_situation[n][row, 0] * gains.stiffness[row]) for n in ("support", "swing")]
         rows.append([words(joint), *(span(values[row]) for values in gains.by_situation.values()), *stiff])
     header = ["joint", "support", "swing", "100 ms after touchdown", "support by the clock", "swing by the clock"]
@@ -117,7 +116,8 @@ def _gain_tables(known: Mapping[str, Gains]) -> dict[str, TableRows]:
 
 
 def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
-    joints, first = load_robot().controlled, next(iter(known.values()))
+    first = next(iter(known.values()))
+    joints = first.joints
     half_way = len(joints) // 2
     pairs = [joint for side in zip(joints[:half_way], joints[half_way:], strict=True) for joint in side]
     panels = {
@@ -133,7 +133,7 @@ def _gain_figure(known: Mapping[str, Gains]) -> go.Figure:
 
 
 def _back_drive_figure(measured: Sequence[Measured], name: str, axis: str) -> go.Figure:
-    joints = load_robot().controlled
+    joints = measured[0].back_drive.joints
     middle = {each.label: np.nanmedian(getattr(each.back_drive, name), (0, 2)).tolist() for each in measured}
     return bars_figure({label: dict(zip(joints, values, strict=True)) for label, values in middle.items()}, axis)
 
@@ -184,12 +184,11 @@ def _walk_numbers(each: Measured) -> dict[str, Any]:
 
 
 def _gain_numbers(gains: Gains) -> dict[str, Any]:
-    names = load_robot().controlled
     return {
         "mean": _finite(gains.mean),
         "support_minus_swing": _finite(gains.softening),
         "landed_minus_swing": _finite(gains.landing),
-        **{k: dict(zip(names, map(_finite, v), strict=True)) for k, v in gains.by_situation.items()},
+        **{k: dict(zip(gains.joints, map(_finite, v), strict=True)) for k, v in gains.by_situation.items()},
     }
 
 
@@ -197,7 +196,7 @@ def _back_drive_numbers(each: Measured) -> dict[str, Any]:
     found = {name: getattr(each.back_drive, name) for name in ("slope", "break_away")}
     by_joint = {
         joint: {name: _median(values[:, i]) for name, values in found.items()}
-        for i, joint in enumerate(load_robot().controlled)
+        for i, joint in enumerate(each.back_drive.joints)
     }
     return {**{name: _median(values) for name, values in found.items()}, **by_joint}
 
@@ -212,7 +211,7 @@ def _energy_numbers(energy: Energy) -> dict[str, Any]:
     return {
         "power": _finite(energy.power),
         "cost_of_transport": _finite(energy.cost_of_transport),
-        **{name: dict(zip(load_robot().joints, values, strict=True)) for name, values in by_joint.items()},
+        **{name: dict(zip(energy.joints, values, strict=True)) for name, values in by_joint.items()},
         "drift": energy.drift,
     }
 

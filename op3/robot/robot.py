@@ -76,6 +76,11 @@ class Robot:
         return digest.hexdigest()[:12]
 
     @property
+    def firmware_gain(self) -> Array:
+        """Gain of each servo's own position law, as it is delivered, ``[joint]`` in firmware units; 0 without one."""
+        return np.array([0.0 if make.position_law is None else make.position_law.gain.si for make in self.servos])
+
+    @property
     def controlled(self) -> tuple[str, ...]:
         """The joints that policies and identification focus on."""
         return self.joints if self.file.controlled is None else self.file.controlled

@@ -7,13 +7,16 @@ then `compile` makes a MuJoCo model of whatever the tree holds at that moment.
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
+import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import mujoco
 import numpy as np
 from dm_control import composer, mjcf
+from lxml import etree
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.assets import asset_path
@@ -22,6 +25,7 @@ from op3.robot.entity import RobotEntity
 from op3.robot.kinematics import level_soles, quaternion, rotation_matrix, standing_height
 from op3.robot.robot import DEFAULT, Robot, checked_angles, exclude_neighbours, load_robot
 from op3.robot.surfaces import add_bricks, add_tiles
+from op3.settings import nearest
 
 SCENES: tuple[str, ...] = (
     "floor",
@@ -46,7 +50,7 @@ class Scene:
         arena: the composer arena that holds everything.
         robot: the robot in it, None on the bench.
         joints: hinge elements [joint] in the robot's order; of a robot without some limbs only those that are there.
-        name: one of `SCENES`.
+        name: one of `SCENES`, or of a user's own.
         mount: how the robot is held, as logs call it: "stand", "pendulum" or what it stands on.
         tilt_roll: roll of a fixed base in rad.
         tilt_pitch: pitch of a fixed base in rad, positive forward.
@@ -153,7 +157,9 @@ class Scene:
             return np.zeros(2)
         if self.name == "board_weight":
             return np.array([self.ground_pitch, 0.0])
-        return np.zeros(0)
+        if self.name in SCENES:
+            return np.zeros(0)
+        return self.compile(visual=False).qpos0[7 + len(self.joints) :]
 
 
 def build_scene(
@@ -171,7 +177,9 @@ def build_scene(
             ground. "bench": one servo with the default pendulum (see `build_bench`). "board": a board that
             `BoardDrive` tilts. "board_weight": a passive board between stops, and a weight that `WeightDrive` lowers
             on it. "bricks_a", "bricks_b", "bricks_c": 5 mm bricks ahead of the robot. "terrain": tiles ahead of the
-            robot whose heights `place_tiles` sets.
+            robot whose heights `place_tiles` sets. Or a scene of your own: the path of an MJCF file that is laid on
+            the floor, or the dotted name of a function of a robot that returns such a `dm_control.mjcf.RootElement`, or
+            a `Scene`. Bodies in it may have joints, but no free ones.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
         joints: on the stand, limbs without any of these are left away: with a fixed base the others do not feel them.
@@ -194,13 +202,13 @@ def build_scene(
         mount.quat = quaternion(tilt_roll, tilt_pitch)
         arena.attach(entity, mount)
         return Scene(arena, entity, kept, name, name, tilt_roll, tilt_pitch)
-    return _on_floor(name, known)
+    return _own_scene(name, known) if "." in name else _on_floor(name, known)
 
 
 def check_scene(name: str, robot: Robot) -> None:
     """Refuse a scene that there is not, or on which a robot cannot be put down."""
-    if name not in SCENES:
-        raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES)}")
+    if name not in SCENES and "." not in name:
+        raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}, or give an MJCF file or package.function")
     if name not in ("stand", "bench") and not robot.sole_geoms:
         raise ValueError(
             f"{robot.name} does not walk: the scene {name!r} needs soles, and its file names none, nor colliding feet"
@@ -218,8 +226,29 @@ def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Ele
     return tuple(joints[name] for name in kept)
 
 
-def _on_floor(name: str, known: Robot) -> Scene:
-    """The robot on the floor, and what is laid on it."""
+def _own_scene(name: str, robot: Robot) -> Scene:
+    """A scene from a file or a function of a user's own."""
+    if name.endswith(".xml"):
+        if not Path(name).is_file():
+            raise ValueError(f"scene={name}: there is no such file; correct the path")
+        try:
+            return _on_floor(name, robot, mjcf.from_path(name))
+        except (ValueError, KeyError, AttributeError, etree.XMLSyntaxError) as error:
+            raise ValueError(f"scene={name}: {error}") from None
+    module, _, function = name.rpartition(".")
+    try:
+        made = getattr(importlib.import_module(module), function)(robot)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"scene={name}: {error}; give the dotted name of a function of a robot") from None
+    if isinstance(made, Scene):
+        return made
+    if not isinstance(made, mjcf.RootElement):
+        raise ValueError(f"scene={name}: the function must return an mjcf.RootElement or a Scene, got {made!r}")
+    return _on_floor(name, robot, made)
+
+
+def _on_floor(name: str, known: Robot, laid: Any = None) -> Scene:
+    """The robot on the floor, and what is laid on it: of a user's own, or of the scene."""
     arena, robot = composer.Arena(xml_path=str(asset_path("scenes/floor.xml"))), RobotEntity(known)
     root: Any = arena.mjcf_model
     board = name.startswith("board")
@@ -228,15 +257,19 @@ def _on_floor(name: str, known: Robot) -> Scene:
     frame: Any = arena.add_free_entity(robot)
     frame.pos = [0.0, 0.0, height + standing_height(known.pose("zero"), robot=known)]
     ground = ["floor"]
-    if name != "floor":
-        # behind the robot, whose joints so stay the first
-        laid: Any = mjcf.from_path(str(asset_path(f"scenes/{name if board else 'uneven'}.xml")))
+    own = laid is not None
+    if not own and name != "floor":
+        laid = mjcf.from_path(str(asset_path(f"scenes/{name if board else 'uneven'}.xml")))
         if name == "terrain":
             add_tiles(laid)
         elif not board:
             add_bricks(laid, name)
+    if laid is not None:
+        for number, geom in enumerate(laid.find_all("geom")):
+            geom.name = geom.name or f"geom_{number}"
+        # behind the robot, whose joints so stay the first
         root.attach(laid)
-        ground += [str(geom.full_identifier) for geom in laid.find_all("geom") if _meets_feet(geom)]
+        ground += [str(geom.full_identifier) for geom in laid.find_all("geom") if own or _meets_feet(geom)]
     pitch = TILT if name == "board_weight" else 0.0
     return Scene(arena, robot, tuple(robot.joints), name, name, 0.0, 0.0, tuple(ground), height, pitch)
 

@@ -132,7 +132,8 @@ class Metadata:
             if self.joints.count(name) > 1:
                 raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
         for name, choices in (("robot", ROBOTS), ("mount", MOUNTS)):
-            if getattr(self, name) not in choices:
+            own = name == "mount" and "." in str(self.mount)  # a scene of a user's own
+            if getattr(self, name) not in choices and not own:
                 raise _wrong(name, "one of " + ", ".join(choices), getattr(self, name))
         for name in ("mass", "length"):
             if self.mount == "pendulum" and getattr(self, name) is None:

@@ -6,19 +6,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import load_robot
+from op3.robot import Robot, load_robot
 from op3.rollout import Rollout
 from op3.tasks.rewards import FOOT_OFFSETS, swing_of_feet, swing_probability
 from op3.tasks.task import Task, find_task
 
 
-def foot_of(joint: str) -> int:
-    """Number of the foot, left 0 and right 1, whose leg a joint of the robot is in.
+def foot_of(joint: str, robot: Robot) -> int:
+    """Number of the foot, in the order of the robot's file, whose leg a joint is in.
 
     Raises:
         ValueError: if it is in no leg.
     """
-    found = [foot for foot, leg in enumerate(load_robot().legs) if joint in leg]
+    found = [foot for foot, leg in enumerate(robot.legs) if joint in leg]
     if not found:
         raise ValueError(f"{joint} is in no leg; a gait is of a leg's joints")
     return found[0]
@@ -63,7 +63,7 @@ def gains(log: Rollout, task: str | Task) -> dict[str, float]:
     """
     p_gain, carries = log.array("command/p_gain"), in_stance(log, task)
     sums, counts = {True: 0.0, False: 0.0}, {True: 0, False: 0}
-    robot = load_robot()
+    robot = load_robot(find_task(task).robot)
     for side, leg in enumerate(robot.legs):
         columns = [log.joints.index(joint) for joint in robot.controlled if joint in leg]
         for stance in (True, False):
@@ -98,8 +98,9 @@ def gait_profile(
     task = find_task(task)
     if task.cycle is None:
         raise ValueError(f"task {task.name!r} has no gait; a profile is of a walking task")
-    joint = load_robot().legs[1][-2] if joint is None else joint
-    column, side = logs[0].joints.index(joint), foot_of(joint)
+    robot = load_robot(task.robot)
+    joint = robot.legs[1][-2] if joint is None else joint
+    column, side = logs[0].joints.index(joint), foot_of(joint, robot)
     phases, targets, stiffness = [], [], []
     for log in logs:
         time = log.array("time")[:, 0] - log.array("time")[0, 0]

@@ -1,4 +1,8 @@
-"""Commands: what robots are asked for, drawn anew for every episode and known to the policy."""
+"""Commands: what robots are asked for, drawn anew for every episode and known to the policy.
+
+A command is a class with ``at(time)``, ``[env, number]``, and any of ``begin(episodes)``, ``begun(rows, yaw)`` and
+``follow(yaw, commands)``; its attribute ``mirror`` has the signs of its numbers in the robot's plane of symmetry.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +40,8 @@ class Velocity:
         scale: factor on all ranges, which a curriculum may raise from 0 to 1.
     """
 
+    mirror = (1.0, -1.0, -1.0)
+
     def __init__(
         self,
         num_envs: int,
@@ -60,8 +66,8 @@ class Velocity:
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
         self._interval, self._shares = interval, (zero_share, turn_share, straight_share)
         self._count = ceil(duration / interval) + 1
-        self._shift = np.zeros(num_envs)
-        self._schedule = np.zeros((num_envs, self._count, 3))
+        self._shift = torch.zeros(num_envs, dtype=torch.float64)
+        self._schedule = torch.zeros(num_envs, self._count, 3, dtype=torch.float64)
 
     def begin(self, episodes: Episodes) -> None:
         """Draw the commands of whole episodes."""
@@ -72,13 +78,13 @@ class Velocity:
             drawn[(zero <= lot) & (lot < turn), :2] = 0.0
             drawn[(turn <= lot) & (lot < straight), 2] = 0.0
             drawn[lot < zero] = 0.0
-            self._schedule[row] = drawn
+            self._schedule[row] = torch.from_numpy(drawn)
             self._shift[row] = generator.uniform(0.0, self._interval)
 
     def at(self, time: Tensor) -> Tensor:
         """The commands in force at a time of each episode [s], ``[env, 3]``."""
-        number = ((time.numpy() + self._shift) / self._interval).astype(int).clip(max=self._count - 1)
-        return torch.from_numpy(self._schedule[np.arange(len(number)), number])
+        number = ((time + self._shift) / self._interval).long().clamp(max=self._count - 1)
+        return _held(self._schedule, number)
 
 
 class Stepwise:
@@ -90,15 +96,15 @@ class Stepwise:
     """
 
     def __init__(self, num_envs: int, times: Iterable[float], values: Iterable[Iterable[float]]):
-        self._times, self._values = np.array(list(times), dtype=float), np.array([list(v) for v in values], dtype=float)
-        if len(self._times) != len(self._values) or (np.diff(self._times) <= 0).any() or self._times[:1] != 0.0:
+        del num_envs
+        self._times = torch.tensor(list(times), dtype=torch.float64)
+        self._values = torch.tensor([list(v) for v in values], dtype=torch.float64)
+        if len(self._times) != len(self._values) or (self._times.diff() <= 0).any() or self._times[:1] != 0.0:
             raise ValueError(f"times must rise from 0 and there must be a value for each, got {self._times.tolist()}")
-        self._count = num_envs
 
     def at(self, time: Tensor) -> Tensor:
         """The commands in force at a time of each episode [s]."""
-        number = np.searchsorted(self._times, time.numpy() + 1e-9, side="right") - 1
-        return torch.from_numpy(self._values[number])
+        return self._values[torch.searchsorted(self._times, time + 1e-9, side="right") - 1]
 
 
 class Heading:
@@ -107,6 +113,8 @@ class Heading:
     Args:
         rate: name of the command whose last number is a rate of turning.
     """
+
+    mirror = (-1.0,)
 
     def __init__(self, num_envs: int, policy_period: float, rate: str = "velocity"):
         self.rate, self._period = rate, policy_period
@@ -137,6 +145,8 @@ class Target:
         interval: how long a place is held [s]; None: for the whole episode.
     """
 
+    mirror = (1.0, -1.0, 1.0)
+
     def __init__(
         self,
         num_envs: int,
@@ -152,17 +162,16 @@ class Target:
         self._interval = duration if interval is None else interval
         self._count = ceil(duration / self._interval)
         self._data = mujoco.MjData(robot.bare_model)
-        self._places = np.zeros((num_envs, self._count, 3))
+        self._places = torch.zeros(num_envs, self._count, 3, dtype=torch.float64)
 
     def begin(self, episodes: Episodes) -> None:
         """Draw the places of whole episodes."""
         for row, generator in zip(episodes.rows, episodes.generators(6), strict=True):
-            self._places[row] = [self._draw(generator) for _ in range(self._count)]
+            self._places[row] = torch.tensor(np.array([self._draw(generator) for _ in range(self._count)]))
 
     def at(self, time: Tensor) -> Tensor:
         """The places in force at a time of each episode [s], ``[env, 3]``."""
-        number = (time.numpy() / self._interval).astype(int).clip(max=self._count - 1)
-        return torch.from_numpy(self._places[np.arange(len(number)), number])
+        return _held(self._places, (time / self._interval).long().clamp(max=self._count - 1))
 
     def _draw(self, generator: np.random.Generator) -> np.ndarray:
         robot, data = self._robot, self._data
@@ -180,3 +189,8 @@ class Target:
             if place[2] >= self._least:
                 return place
         raise ValueError(f"no pose of {robot.name} brings its tip {self._least:g} m above its base")
+
+
+def _held(schedule: Tensor, number: Tensor) -> Tensor:
+    """The command of a number [env] in each schedule [env, number, value]."""
+    return schedule[torch.arange(len(number), device=number.device), number]

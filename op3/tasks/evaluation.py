@@ -102,27 +102,24 @@ def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
     return float(evaluation_rewards(log, task).sum())
 
 
-LEAST_DISTANCE = 1.0
-"""From which an upright episode of walking has gone forward [m]; the paper says "forward" without a number."""
-
-
 def stood(log: Rollout) -> bool:
     """Whether a robot was upright to the end of its episode and, where it was moved to an end pose, on that way too."""
     return not _field(log, "fallen", log.metadata.fallen) and "afterwards" not in log.metadata.extra
 
 
-def succeeded(log: Rollout, task: str | Task, least_distance: float = LEAST_DISTANCE) -> bool:
-    """Whether an episode is what the task asks for: upright to its end and, in walking, forwards.
+def succeeded(log: Rollout, task: str | Task) -> bool:
+    """Whether an episode is what the task asks for, by its ``success``: of walking, upright to the end and forwards.
 
-    Args:
-        least_distance: that counts as walking forwards [m].
+    A simulated episode has it in its metadata. Of a robot's, the distance that was measured there is compared.
     """
     if not stood(log):
         return False
-    attempted = find_task(task)
-    if attempted.cycle is None or attempted.commands:
+    if (success := log.metadata.extra.get("success")) is not None:
+        return bool(success)
+    travelled = find_task(task).terms("success").get("travelled")
+    if travelled is None:
         return True
-    return _field(log, "travelled_distance", log.metadata.travelled_distance) >= least_distance
+    return _field(log, "travelled_distance", log.metadata.travelled_distance) >= travelled["distance"]
 
 
 def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

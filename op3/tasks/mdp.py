@@ -17,7 +17,7 @@ from op3.robot import Robot, Scene
 from op3.robot.units import ANGLE_UNIT, GYRO_UNIT
 from op3.servo import RobotModel
 from op3.settings import nearest
-from op3.tasks import commands, events, rewards, terminations
+from op3.tasks import commands, events, rewards, successes, terminations
 from op3.tasks.episodes import Array, Episodes, World
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.state import State
@@ -28,6 +28,7 @@ HOMES: Mapping[str, Any] = {
     "rewards": rewards,
     "shaping": rewards,
     "terminations": terminations,
+    "success": successes,
     "commands": commands,
     "events": events,
 }
@@ -44,6 +45,7 @@ class Outcome:
         terms: weighted contributions to the reward by name, ``[env]``; the reward is their sum.
         terminated: the robot failed, or its simulation did.
         truncated: the time is over.
+        success: the robot does what the task asks, and has not failed.
     """
 
     observation: Tensor
@@ -51,6 +53,7 @@ class Outcome:
     terms: dict[str, Tensor]
     terminated: Tensor
     truncated: Tensor
+    success: Tensor
 
 
 class Mdp:
@@ -152,7 +155,7 @@ class Mdp:
             for term in self.terms[kind].values():
                 if hook := term.hook("begin"):
                     hook(episodes)
-        for kind in ("rewards", "shaping", "terminations"):
+        for kind in ("rewards", "shaping", "terminations", "success"):
             for term in self.terms[kind].values():
                 if hook := term.hook("begin"):
                     hook(mask)
@@ -210,6 +213,9 @@ class Mdp:
         terminated = failed.clone()
         for term in self.terms["terminations"].values():
             terminated |= self._value("terminations", term, state)
+        success = ~terminated
+        for term in self.terms["success"].values():
+            success &= self._value("success", term, state)
         self._previous = action
         observation = self.observer.push(self._sense(snapshot), self._noise)
         if failed.any():  # what a diverged state would say is worth nothing
@@ -217,7 +223,7 @@ class Mdp:
             terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
             observation = torch.where(failed[:, None], 0.0, observation)
         truncated = (self.steps >= self.task.steps) & ~terminated
-        return Outcome(observation, reward, terms, terminated, truncated)
+        return Outcome(observation, reward, terms, terminated, truncated, success)
 
     def _value(self, kind: str, term: Term, state: State) -> Tensor:
         """A term's value, which must have one number per robot."""

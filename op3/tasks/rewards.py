@@ -135,7 +135,7 @@ def loaded_force(robot: Robot) -> float:
 
 
 def bipedal_term(swing: Tensor, foot_force: Tensor, foot_speed: Tensor, loaded: float) -> Tensor:
-    """R_bipedal: force on a foot that should swing, speed of a foot that should stand, at most 0.
+    """R_bipedal: force on a foot that should swing, speed of a foot that should stand, in [-2, 0].
 
     Siekmann et al. (2021), eq. (2): in swing C_frc = -1 and C_spd = 0, in stance C_frc = 0 and C_spd = -1.
 
@@ -145,9 +145,10 @@ def bipedal_term(swing: Tensor, foot_force: Tensor, foot_speed: Tensor, loaded: 
         foot_speed: of the feet over the ground, ``[..., foot]`` in m/s.
         loaded: force at which a foot counts as loaded [N].
     """
+    # twice the mean is the sum over two feet, and weighs a gait of four alike
     loading = _penalty((foot_force / loaded).square())
     moving = _penalty(2.0 * foot_speed.square())
-    return (swing * loading + (1.0 - swing) * moving).sum(-1)
+    return 2.0 * (swing * loading + (1.0 - swing) * moving).mean(-1)
 
 
 def body_acceleration(specific_force: Tensor, orientation: Tensor) -> Tensor:
@@ -201,14 +202,14 @@ def bipedal(state: State, robot: Robot, name: str | None = None) -> Tensor:
 
 
 def clearance(state: State, height: float = 0.02, name: str | None = None) -> Tensor:
-    """How far feet that should swing are below a height above the lowest foot, at most 0.
+    """How far feet that should swing are below a height above the lowest foot, twice the mean, in [-2, 0].
 
     Args:
         height: from which nothing is lost [m].
         name: as of `bipedal`.
     """
     low = (1.0 - state.step.foot_clearance / height).clamp(min=0.0)
-    return -(_swing(state, name) * low).sum(-1)
+    return -2.0 * (_swing(state, name) * low).mean(-1)
 
 
 def _swing(state: State, name: str | None) -> Tensor:

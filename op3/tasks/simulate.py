@@ -69,7 +69,7 @@ def simulate_motion(
 def _gains(motion: Motion, robot: Robot) -> dict[str, ArrayLike]:
     """The gains that the robot's servos are played with."""
     if robot.servos[0].loop == "firmware":
-        return {"firmware_gain": [make.position_law.gain.si for make in robot.servos if make.position_law is not None]}
+        return {"firmware_gain": robot.firmware_gain}
     return {"p_gain": np.reshape(motion.p_gain, (-1, 1)), "d_gain": np.asarray(motion.d_gain)}
 
 

@@ -12,8 +12,10 @@ from pydantic import BeforeValidator, Field
 
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
+from op3.policy.mirror import Mirror
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
+from op3.policy.terms import Term
 from op3.robot import Robot, load_robot
 from op3.robot.assets import named_configs
 from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
@@ -63,6 +65,7 @@ class Task:
         rewards: terms of `op3.tasks.rewards`, each with a ``weight``; of what is judged.
         shaping: the same, for what helps learning besides.
         terminations: terms of `op3.tasks.terminations`.
+        success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
         curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
@@ -82,6 +85,7 @@ class Task:
     gait: Annotated[Gait | None, BeforeValidator(_gait)] = None
     shaping: Terms = field(default_factory=dict)
     terminations: Terms = field(default_factory=dict)
+    success: Terms = field(default_factory=dict)
     events: Terms = field(default_factory=dict)
     commands: Terms = field(default_factory=dict)
     curricula: Named[Any] = field(default_factory=dict)
@@ -140,15 +144,28 @@ class Task:
         robot = load_robot(self.robot)
         return Observer(self.terms("observations"), robot, self.history, self.example(robot, action_size))
 
+    def mirror(self, action_map: ActionMap) -> Mirror:
+        """Images of the task's observations and actions in the robot's plane of symmetry.
+
+        Raises:
+            ValueError: naming what has none.
+        """
+        robot = load_robot(self.robot)
+        images = {name: getattr(term.target, "mirror", None) for name, term in self._commands(robot).items()}
+        example = self.example(robot, action_map.size)
+        return Mirror(self.observer(action_map.size), example, action_map, images)
+
+    def _commands(self, robot: Robot) -> dict[str, Term]:
+        """The terms of the commands, for one robot."""
+        from op3.tasks import commands
+
+        context = {"num_envs": 1, "duration": self.duration, "robot": robot, "policy_period": POLICY_PERIOD}
+        return {name: Term("commands", name, spec, commands, context) for name, spec in self.terms("commands").items()}
+
     def example(self, robot: Robot, action_size: int) -> Sensed:
         """What one robot senses at home, ``[1, ...]``."""
         import torch
 
-        from op3.policy.terms import Term
-        from op3.tasks import commands
-
-        context = {"num_envs": 1, "duration": self.duration, "robot": robot, "policy_period": POLICY_PERIOD}
-        asked = {name: Term("commands", name, spec, commands, context) for name, spec in self.terms("commands").items()}
         position = torch.from_numpy(robot.home)[None]
         three = torch.zeros(1, 3, dtype=torch.float64)
         imu = robot.file.imu is not None
@@ -159,7 +176,7 @@ class Task:
             orientation=three if imu else None,
             angular_velocity=three if imu else None,
             phase=None if self.gait is None else three[:, 0],
-            commands={name: term.target.at(three[:, 0]) for name, term in asked.items()},
+            commands={name: term.target.at(three[:, 0]) for name, term in self._commands(robot).items()},
         )
 
     def check_policy(self, manifest: Manifest, name: str) -> None:

@@ -28,12 +28,14 @@ def evaluate(
         watch: called before each step with the actions [env, action] and which environments [env] are still in it.
 
     Returns:
-        ``return`` and ``length`` (mean over the episodes) and ``upright``, the share not terminated.
+        ``return`` and ``length`` (mean over the episodes), and the shares ``upright``, not terminated, and ``success``,
+        where the environment has such a ``measure``.
     """
     environment.set_seed(seed)
     now, count = environment.reset(), environment.batch_size[0]
     returns, lengths = torch.zeros(count), torch.zeros(count)
     running, terminated = torch.ones(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
+    succeeded = torch.zeros(count)
     for _ in range(longest):
         now["action"] = policy(now["observation"].float())
         if watch is not None:
@@ -42,12 +44,14 @@ def evaluate(
         reward, fell, done = (step["next", name].view(count) for name in ("reward", "terminated", "done"))
         returns += torch.where(running, reward, 0.0)
         lengths += running
+        success = step.get(("next", "measure", "success"), None)
+        if success is not None:
+            succeeded = torch.where(running, success.view(count), succeeded)
         terminated |= running & fell
         running &= ~done
         if not bool(running.any()):
             break
-    return {
-        "return": float(returns.mean()),
-        "length": float(lengths.mean()),
-        "upright": float((~terminated).float().mean()),
-    }
+    measures = {"return": returns, "length": lengths, "upright": (~terminated).float()}
+    if now.get(("measure", "success"), None) is not None:
+        measures["success"] = succeeded
+    return {name: float(values.mean()) for name, values in measures.items()}

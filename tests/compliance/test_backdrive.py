@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from op3.compliance.backdrive import MOVED, back_drive
-from op3.robot import pose
+from op3.robot import load_robot, pose
 from op3.servo import RobotModel
 from op3.sim import load_model
 from tests.op3_table import CONTROLLED_JOINTS
@@ -17,7 +17,7 @@ def measured(model: RobotModel, gain: float) -> tuple[np.ndarray, np.ndarray]:
         "p_gain": np.full((1, 20), gain),
         "d_gain": np.full((1, 20), 0.1),
     }
-    found = back_drive(model, pose("stand")[None], commands)
+    found = back_drive(model, load_robot("op3"), pose("stand")[None], commands)
     return found.break_away[0], found.slope[0]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from op3.compliance.energy import HOUR, measure_energy, temperature_after
-from op3.robot import load_servo
+from op3.robot import load_robot, load_servo
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
 from tests.op3_table import JOINTS
@@ -33,7 +33,7 @@ def test_cost_of_transport_by_hand():
     }  # fmt: skip
     known = dict(robot="simulated", mount="floor", rate=125.0, travelled_distance=2.0, episode_duration=10.0)
     log = Rollout.from_arrays(arrays, Metadata(joints=JOINTS, **known))
-    found = measure_energy([log, log], load_model("paper"), 3.0, True)
+    found = measure_energy([log, log], load_model("paper"), load_robot("op3"), 3.0, True)
     power = 6.5 + 0.006 * 353.5 * 2
     assert found.power[0] == pytest.approx(power)
     assert found.cost_of_transport is not None

@@ -11,7 +11,7 @@ from op3.tasks import find_task
 from tests.op3_table import mirror
 
 WALK = find_task("walk")
-MIRROR = Mirror(WALK.layout, 3, WALK.action_map())
+MIRROR = WALK.mirror(WALK.action_map())
 
 
 def test_twice_is_nothing():
@@ -35,8 +35,9 @@ def test_observations_agree_with_kinematics():
         now = Sensed(position, velocity, action, attitude, rates, phase, {"velocity": asked})
         return Observer(terms, load_robot(), 0, now).reset(now)
 
-    layout = Observer(terms, load_robot(), 0, Sensed(q, v, action, attitude, rates, phase, {"velocity": asked})).layout
-    one = Mirror(layout, 0, WALK.action_map())
+    example = Sensed(q[:1], v[:1], action[:1], attitude[:1], rates[:1], phase[:1], {"velocity": asked[:1]})
+    observer = Observer(terms, load_robot(), 0, example)
+    one = Mirror(observer, example, WALK.action_map(), {"velocity": (1.0, -1.0, -1.0)})
     axial = torch.tensor([-1.0, 1.0, -1.0])
     seen = observe(q, v, attitude, rates, action, phase, asked)
     image = observe(
@@ -72,9 +73,25 @@ def test_the_simulated_image_does_the_image():
     torch.testing.assert_close(reward[0], reward[1], rtol=0, atol=0.02)
 
 
-def test_parts_without_an_image_are_refused():
-    """An unknown part, or a joint whose partner the policy does not command, is named."""
-    with pytest.raises(ValueError, match="'temperature' of 20 numbers has no known mirror image"):
-        Mirror({**WALK.layout, "temperature": 20}, 3, WALK.action_map())
+def knee(sensed: Sensed, side: int) -> torch.Tensor:
+    """A term without an image: the left knee alone."""
+    return sensed.joint_position[..., side : side + 1]
+
+
+def lean(sensed: Sensed) -> torch.Tensor:
+    """A term of a user with an image: roll, which turns round, and the product of roll and yaw, which does not."""
+    assert sensed.orientation is not None
+    roll, _, yaw = sensed.orientation.unbind(-1)
+    return torch.stack([roll, roll * yaw], -1)
+
+
+def test_own_terms_have_the_image_that_they_have():
+    """The image of a user's term is found; what has none is named."""
+    task = WALK.changed({"observations.lean": {"function": f"{__name__}.lean"}, "history": 0})
+    image = task.mirror(task.action_map()).observation(torch.arange(task.observation_size) + 1.0)
+    assert image[-2:].tolist() == [-(task.observation_size - 1), task.observation_size]
+    alone = WALK.changed({"observations.knee": {"function": f"{__name__}.knee", "side": 3}})
+    with pytest.raises(ValueError, match="'knee' has no mirror image"):
+        alone.mirror(alone.action_map())
     with pytest.raises(ValueError, match="its partner r_knee is not controlled"):
-        Mirror(WALK.layout, 3, ActionMap.around_stand(joints=("l_knee",)))
+        WALK.mirror(ActionMap.around_stand(joints=("l_knee",)))

@@ -12,6 +12,7 @@ from op3.compliance.pushing import Survival
 from op3.compliance.study import Measured, Passed
 from op3.report import RunFolder, read_result
 from op3.report.compliance import report_compliance
+from tests.op3_table import CONTROLLED_JOINTS, JOINTS
 
 
 def measured(label: str, force: float, rungs: int, successes: int) -> Measured:
@@ -27,11 +28,11 @@ def measured(label: str, force: float, rungs: int, successes: int) -> Measured:
         landings=Landings(np.arange(200) // 10, force + noise, noise + 40, same, same / 10),
         survival=Survival(0.3 * (np.arange(10) + 0.5), survived),
         led={"trunk forwards": Led(np.array([1.0, 2.0]), moved, np.array([1.0, 0.0]))},
-        energy=Energy(level, level, np.full(20, 0.2), np.full(20, 30.0), 0.01, 0.46),
-        back_drive=BackDrive(np.full((2, 10, 2), 0.3), np.full((2, 10, 2), 4.0)),
+        energy=Energy(level, level, np.full(20, 0.2), np.full(20, 30.0), JOINTS, 0.01, 0.46),
+        back_drive=BackDrive(np.full((2, 10, 2), 0.3), np.full((2, 10, 2), 4.0), CONTROLLED_JOINTS),
         gains=Gains(
             (np.arange(BINS) + 0.5) / BINS, np.ones((10, BINS)), np.ones((10, BINS, 2)), np.ones((10, BINS)), level,
-            {name: np.tile(level, (10, 1)) for name in SITUATIONS}, level, -level, np.full(10, 2.1),
+            {name: np.tile(level, (10, 1)) for name in SITUATIONS}, level, -level, np.full(10, 2.1), CONTROLLED_JOINTS,
         ),
     )  # fmt: skip
 

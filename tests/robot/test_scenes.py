@@ -46,7 +46,7 @@ def test_scenes_compile(name):
 
 def test_unknown_scene():
     """An unknown scene is named, with the ones that exist."""
-    with pytest.raises(ValueError, match=r"unknown scene 'moon'; the scenes are floor, stand, bench,"):
+    with pytest.raises(ValueError, match=r"unknown scene 'moon'; there are floor, stand, bench,"):
         build_scene("moon")
 
 

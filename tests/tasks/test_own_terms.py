@@ -10,8 +10,12 @@ import torch
 from torchrl.envs import check_env_specs
 
 from op3.envs import make_env
+from op3.envs.record import record_episodes
 from op3.policy import PolicyBundle
+from op3.robot.assets import asset_path
+from op3.robot.robot import robot_files
 from op3.tasks import find_task, task_names
+from op3.tasks.baselines import Hold
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -54,6 +58,18 @@ class Beat:
 
     def at(self, time):
         return torch.sin(2 * torch.pi * self.rate * time)[:, None]
+
+
+def stairs(robot):
+    from dm_control import mjcf
+
+    laid = mjcf.RootElement(model="stairs")
+    for number in range(3):
+        laid.worldbody.add("geom", type="box", size=[0.1, 0.5, 0.005], pos=[0.4 + 0.2 * number, 0, 0.005 * number])
+    door = laid.worldbody.add("body", name="door", pos=[1.2, 0.0, 0.1])
+    door.add("joint", type="hinge", axis=[0, 0, 1])
+    door.add("geom", type="box", size=[0.2, 0.005, 0.09], mass=0.05)
+    return laid
 
 
 def wrong_shape(state):
@@ -185,3 +201,41 @@ def test_key_points_of_four_legs_are_mujocos():
         angles = torch.from_numpy(position)
         points, _ = chains(robot).key_points(angles, 0 * angles)
         np.testing.assert_allclose(points.numpy(), (np.array(expected) - base.xpos) @ turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", ["arm", "arm of servos that take gains", "quadruped", "op3"])
+def test_servos_hold_the_pose_that_is_commanded(robot, tmp_path):
+    """A robot whose targets stay at its home pose is still near it after a second, though actions command no gains."""
+    if robot not in robot_files():
+        text = robot_files()["arm"].read_text().replace("servo: sts3215", "servo: xm430-w350")
+        text = text.replace("../arm/arm.xml", str(asset_path("arm/arm.xml"))).replace("name: arm", "name: other")
+        robot = tmp_path / "other.yaml"
+        robot.write_text(text)
+    quiet = {"events": {}, "terminations": {}, "commands": {}, "rewards": {"alive": {}}, "success": {}}
+    observations = {"joint_position": {}}
+    task = find_task("reach", robot=str(robot), scene="stand", observations=observations, **quiet)
+    env = make_env(task, num_envs=2, num_threads=1)
+    state = env.reset()
+    for _ in range(31):
+        state["action"] = torch.from_numpy(env.action_map.stand()).float().expand(2, -1)
+        state = env.step(state)["next"].exclude("reward")
+    home = torch.from_numpy(env.mdp.robot.home)
+    assert (env.mdp.state.joint_position - home).abs().max() < 0.15
+
+
+def test_a_scene_of_ones_own(package, tmp_path):
+    """A function lays stairs and a door on the floor, a file a box: the robot stands there, and a log knows where."""
+    box = tmp_path / "box.xml"
+    box.write_text(
+        '<mujoco><worldbody><geom name="box" type="box" size=".1 .1 .02" pos="0.5 0 .02"/></worldbody></mujoco>'
+    )
+    for scene, geoms in (("my_package.terms.stairs", 5), (str(box), 2)):
+        env = make_env(find_task("walk", scene=scene, duration=0.16), num_envs=2)
+        assert len(env.scene.ground) == geoms
+        log = record_episodes(env, Hold(action_map=env.action_map))[0]
+        assert not log.metadata.fallen
+        assert log.metadata.mount == scene
+    with pytest.raises(ValueError, match=r"my_package\.terms\.nothing"):
+        make_env(find_task("walk", scene="my_package.terms.nothing"))
+    with pytest.raises(ValueError, match="unknown scene 'flor'; the nearest is 'floor'"):
+        make_env(find_task("walk", scene="flor"))

@@ -4,7 +4,6 @@ from typing import Literal
 
 import numpy as np
 
-from op3.robot import load_robot
 from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, register
 from op3.servo.law import clip
 from op3.servo.machine_code import part
@@ -48,7 +47,7 @@ class Motor(Effect):
     constants = ("constant",)
     edits = (ModelEdit("dof_armature", "joint_dof", "set", "armature"),)
 
-    gear_ratio: float = load_robot().servos[0].motor.gear_ratio.si
+    gear_ratio: float = 353.5
     drive: Literal["current", "voltage"] = "current"
 
     @staticmethod

@@ -1,0 +1,50 @@
+"""Successes: functions of the state of many robots that return whether they have done what the task asks, ``[env]``.
+
+An episode succeeds if it does not fail, and all of these hold at its last step.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from op3.tasks.state import State
+
+__all__ = ["Travelled", "at_target"]
+
+
+class Travelled:
+    """The base is further forward in the world than where its episode began, by a distance.
+
+    Args:
+        distance: least [m].
+    """
+
+    def __init__(self, num_envs: int, distance: float):
+        self.distance = distance
+        self._new = torch.ones(num_envs, dtype=torch.bool)
+        self._start = torch.zeros(num_envs, dtype=torch.float64)
+
+    def begin(self, rows: Tensor) -> None:
+        """Episodes of a mask of robots begin."""
+        self._new |= rows
+
+    def __call__(self, state: State) -> Tensor:
+        """Whether each robot has come so far, ``[env]``; the first step of an episode counts as its start."""
+        place = state.snapshot.place[:, 0]
+        self._start = torch.where(self._new, place, self._start)
+        self._new = torch.zeros_like(self._new)
+        return place - self._start >= self.distance
+
+
+def at_target(state: State, distance: float, name: str = "target") -> Tensor:
+    """The tip of an arm is no further from a commanded place than a distance.
+
+    Args:
+        distance: largest [m].
+        name: of the command, a place relative to the base [m].
+    """
+    return torch.linalg.vector_norm(state.tip_position - state.commands[name], dim=-1) <= distance
