@@ -54,7 +54,7 @@ def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, An
         figures["joints"] = _coloured(_joints_figure(verdict.windows))
     page = Page.of(
         "diagnosis", figures, _tables(verdict, split, content), verdict=verdict, content=content, folder=run.path,
-        joint=joint, effect=effect_class,
+        joint=joint, effect=effect_class, robot=split.fit[0].robot,
     )  # fmt: skip
     return publish(page, values, run)
 

@@ -130,7 +130,7 @@ def test_a_command_that_is_a_torque_is_refused():
     """It goes with acceleration, friction and gravity, and not with the position."""
     angle = 0.5 * np.sin(2 * TIME) + 0.2 * np.sin(5.3 * TIME)
     speed = np.gradient(angle, TIME)
-    torque = 0.02 * np.gradient(speed, TIME) + 0.1 * np.tanh(speed / 0.05) + 0.05 * speed - 0.3 * np.sin(angle)
+    torque = 0.05 * np.gradient(speed, TIME) + 0.05 * np.tanh(speed / 0.05) + 0.02 * speed + 0.1 * np.sin(angle)
     found = examine(log(torque[:, None], angle[:, None], ("elbow",)))
     assert [(one.severity, one.column) for one in found if "as a torque does" in one.problem] == [
         (ERROR, "elbow.target")

@@ -130,20 +130,26 @@ def unrelated(view: View) -> Iterator[Finding]:
     explained = np.zeros(len(view.joints), bool)
     if gain is not None and current is not None:  # a soft joint that yields, and pulls by as much
         explained = np.diagonal(match(current, gain * (view.command - view.position)).correlation) > SURE
+    asked, torques, lost = 0, set[int](), dict[int, float]()
     for joint in range(len(view.joints)):
         a, t = angle[driven[:, joint], joint], target[driven[:, joint], joint]
         if len(a) < 20 or np.ptp(t) < 0.1 or np.ptp(a) < 0.05:
             continue
+        asked += 1
         best = max(delayed(a, t, n) for n in range(0, min(26, len(a) // 4), 2))
         if best < _UNRELATED and not explained[joint]:
-            problem = f"the position does not follow its command (correlation {best:.2f})"
-            remedy = "look whether both are of this joint and of the same recording"
+            lost[joint] = best
             if driven[:, joint].all() and _as_torque(a, t, stride * view.interval):
-                problem += ", which goes with its acceleration, speed and gravity as a torque does"
-                remedy = "name the command <joint>.load under `columns:`, and give targets of positions"
-                yield view.found(ERROR, (COMMAND, joint), problem, remedy)
-            else:
-                yield view.found(WARNING, (POSITION, joint), problem, remedy)
+                torques.add(joint)
+    for joint, best in lost.items():
+        problem = f"the position does not follow its command (correlation {best:.2f})"
+        if joint in torques and 2 * len(torques) > asked:
+            problem += ", which goes with its acceleration, speed and gravity as a torque does"
+            remedy = "name the command <joint>.load under `columns:`, and give targets of positions"
+            yield view.found(ERROR, (COMMAND, joint), problem, remedy)
+        else:
+            remedy = "look whether both are of this joint and of the same recording"
+            yield view.found(WARNING, (POSITION, joint), problem, remedy)
 
 
 def _as_torque(angle: np.ndarray, told: np.ndarray, period: float) -> bool:

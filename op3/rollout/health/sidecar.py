@@ -19,8 +19,8 @@ _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12),
 _CHARGE = (0.7, 1.3)
 """Voltage over that of the battery: a cell of 3.7 V gives 3.0 to 4.2 V, and cables and load take some of it."""
 
-_FULL = 1.18
-"""Voltage of a full battery over its nominal one, by which a supply may exceed a servo's limits."""
+_FULL = 1.35
+"""By so much supplies exceed a servo's limits at most: a battery is full, or a bench runs a small servo hard (1.22)."""
 
 _HOTTEST = 95.0
 """No servo works at such a temperature [C]: the files of makes let none get hotter."""
