@@ -200,7 +200,12 @@ class PopulationSweeper(Sweeper):
         """Ask the experiment, in a job of its own, for the study's identity, and for starts where there are none."""
         wanted = 0 if (folder / STARTS_FILE).exists() else settings.starts
         first, jobs = _write_jobs([{"starts": wanted}], overrides, folder)
-        return self._launcher.launch(jobs, initial_job_idx=first)[0].return_value
+        job = self._launcher.launch(jobs, initial_job_idx=first)[0]
+        if job.status != JobStatus.COMPLETED:
+            if isinstance(error := job._return_value, StudyError):
+                raise error
+            raise StudyError(f"The study cannot begin, its first job raised {type(error).__name__}: {error}")
+        return job.return_value
 
     def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
         """Run the experiment once more, in the cell's own folder, where it finds its study finished."""

@@ -256,8 +256,10 @@ class Robot:
     def configuration(self, joint_position: ArrayLike) -> Array:
         """Positions of all joints of the bare model [joint of the model] in rad and m: those without a servo where the
         others take them, or at rest."""
-        position, places = self.position(joint_position), self.bare_model.jnt_qposadr
-        whole = self.bare_model.qpos0.copy()
+        position = self.position(joint_position)
+        if not self.unpowered:
+            return position
+        places, whole = self.bare_model.jnt_qposadr, self.bare_model.qpos0.copy()
         whole[[places[self.bare_model.joint(name).id] for name in self.joints]] = position
         for name, (driver, ratio, offset) in self.followed.items():
             angle = 0.0 if driver is None else position[self._index[driver]]
