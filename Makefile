@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install demo test test-all lint docs bench clean
+.PHONY: install demo test test-all lint docs bench wheel-test clean
 
 install: $(VENV)/.installed
 
@@ -36,6 +36,15 @@ lint: install
 
 docs: install
 	$(BIN)/mkdocs build --quiet
+
+# the wheel, installed into an environment of its own and run outside the checkout
+wheel-test:
+	rm -rf build/wheel-test dist && $(PYTHON) -m venv build/wheel-test
+	build/wheel-test/bin/pip wheel --quiet --no-deps --wheel-dir dist .
+	build/wheel-test/bin/pip install --quiet -c constraints.txt dist/*.whl
+	cd build/wheel-test && bin/op3 --version && bin/op3 doctor
+	cd build/wheel-test && bin/op3 evaluate policy=assets/policies/balance task=balance_eval episodes=1 video=false
+	cd build/wheel-test && bin/op3 demo diagnose windows=12
 
 bench: install
 	$(BIN)/python experiments/benchmarks/simulation_speed.py

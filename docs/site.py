@@ -1,7 +1,5 @@
-"""What the site has beside docs/: README.md and CHANGELOG.md, and formulae as MathML; a hook of MkDocs (``make docs``).
-
-``python docs/site.py`` writes ``docs/catalogue.md`` anew, the catalogue of effects as the classes tell it.
-"""
+"""What the site has beside docs/: README.md, CHANGELOG.md, CONTRIBUTING.md, the catalogue of effects as its classes
+document it, and formulae as MathML; a hook of MkDocs (``make docs``)."""
 
 import dataclasses
 import html
@@ -10,17 +8,23 @@ import re
 from pathlib import Path
 from typing import Any
 
+from op3.rollout.health import checks_table
+from op3.rollout.readers import formats_table
+from op3.rollout.schema import schema_table
 from op3.servo import Effect, Parameter, catalogue
 
 ROOT = Path(__file__).resolve().parents[1]
 
+OF_THE_REPOSITORY = {"index.md": "README.md", "changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+"""Pages of the site that lie at the top of the repository."""
+
 INTRODUCTION = """\
 # The catalogue of effects
 
-Written from the classes in `op3/servo/effects/` by `python docs/site.py`.
+Generated from the classes in `op3/servo/effects/`.
 
 A robot model is a list of these effects with values for their parameters (see [servo_model.md](servo_model.md)).
-Effects run in the order of their stages. *Range* is what identification searches unless told otherwise, *start* the
+Effects run in the order of their stages. *Range* is what identification searches by default, *start* the
 value of a model that names none, and at *neutral* the effect changes nothing; a dash says that there is no such value.
 A parameter may differ from joint to joint unless it belongs to the whole robot. *Options* are constants of an effect,
 chosen in `model.yaml` and never searched.
@@ -54,7 +58,7 @@ def section(effect: type[Effect]) -> str:
         facts.append(f"- who may have it: {', '.join(effect.scopes)}")
         facts.append(f"- shows: {effect.fingerprint}")
         facts.append(f"- mistaken for: {', '.join(f'[{name}](#{name})' for name in effect.confounders)}")
-        facts.append(f"- told apart by: {effect.separating_experiment}")
+        facts.append(f"- distinguished by: {effect.separating_experiment}")
     summary = inspect.cleandoc(effect.__doc__ or "").split("\n\n")[0]
     parts = [f"## {effect.name}", "", " ".join(summary.split()), "", *facts, ""]
     if effect.parameters:
@@ -90,17 +94,23 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are not written by hand."""
     from mkdocs.structure.files import File
 
-    for name, source in {"index.md": "README.md", "changelog.md": "CHANGELOG.md"}.items():
+    for name, source in OF_THE_REPOSITORY.items():
         files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "catalogue.md", content=page()))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Make links of the repository's pages links of the site; files that the site lacks are named alone."""
-    if page.file.src_uri != "index.md":
+    if page.file.src_uri == "logs.md":
+        tables = {"channels": schema_table(), "formats": formats_table(), "checks": checks_table()}
+        return re.sub(r"<!-- table: (\w+) -->", lambda found: tables[found[1]], markdown)
+    if page.file.src_uri not in OF_THE_REPOSITORY:
         return markdown
-    markdown = markdown.replace("](docs/", "](").replace("](CHANGELOG.md)", "](changelog.md)")
-    return re.sub(r"\[([^\]]+)\]\((?!https?:|#|\w+\.md|images/)([^)]+)\)", r"\1 (`\2`)", markdown)
+    markdown = markdown.replace("](docs/", "](")
+    for name, source in OF_THE_REPOSITORY.items():
+        markdown = markdown.replace(f"]({source})", f"]({name})")
+    return re.sub(r"\[([^\]]+)\]\((?!https?:|#|[\w/.]+\.md|images/)([^)]+)\)", r"\1 (`\2`)", markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:
@@ -112,7 +122,3 @@ def on_page_content(content: str, **_: Any) -> str:
         return convert(html.unescape(found[2]), display=display)
 
     return re.sub(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', drawn, content, flags=re.DOTALL)
-
-
-if __name__ == "__main__":
-    (ROOT / "docs" / "catalogue.md").write_text(page(), encoding="utf-8")

@@ -1,80 +1,9 @@
-"""Look at a log of any format: what is in it, what was guessed and why, and what is wrong with it.
+"""Check a log of any format: its content, what was guessed and why, and what is wrong.
 
-python experiments/import_log.py data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
-
-Where no YAML lies beside the log, what was understood is written there for you to correct; `read_log` and every
-`data=` read it. Exit code 1 where the log cannot be right.
+The work is done by `op3.apps.import_log`; `--help` lists the settings.
 """
 
-import sys
-from pathlib import Path
-
-import hydra
-from omegaconf import DictConfig
-from support import check_given, one_sentence, plain
-
 from op3.command_line import launch
-from op3.private import masked
-from op3.robot import load_robot
-from op3.rollout import LogError, Rollout
-from op3.rollout.files import write_text
-from op3.rollout.health import ERROR, examine, told_together
-from op3.rollout.importing import OPTIONS, read_side, side_path
-from op3.rollout.proposal import as_yaml, propose
-from op3.rollout.read import expand, read_episodes
-from op3.settings import parse_yaml
-
-
-def look(path: Path, cfg: DictConfig) -> bool:
-    """Print what a log holds and what the checks find; whether it can be used."""
-    print(masked(f"{path}:"))
-    proposed = None
-    if not read_side(path).found:
-        text = as_yaml(*propose(path, cfg.robot))
-        proposed = parse_yaml(text, side_path(path), LogError)
-        print(text)
-        if cfg.write:
-            try:
-                write_text(side_path(path), text)
-                print(f"written to {side_path(path)}; correct it there")
-            except OSError as error:
-                problem = f"{side_path(path)}: {(error.strerror or str(error)).lower()}"
-                print(f"{problem}; copy the log to a folder in which its YAML can lie", file=sys.stderr)
-    options = {name: plain(cfg[name]) for name in OPTIONS if name in cfg}
-    try:
-        logs = read_episodes(path, options, check=False, robot=cfg.robot, proposed=proposed)
-    except LogError as error:
-        print(error)
-        return False
-    return all([show(log, log.metadata.recording or path.name) for log in logs])
-
-
-def show(log: Rollout, name: str) -> bool:
-    """Print a recording's channels and the table of findings."""
-    names = ", ".join("/".join(key) if isinstance(key, tuple) else key for key in log.channels)
-    print(f"{name}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
-    print(f"joints {', '.join(log.joints)}\nchannels {names}")
-    findings = [*log.findings, *examine(log)]
-    for finding in told_together(findings):
-        print("\n".join(f"  {name}: {value}" for name, value in finding.row().items() if value), end="\n\n")
-    if not findings:
-        print("the checks find nothing wrong")
-    return not any(finding.severity == ERROR for finding in findings)
-
-
-@hydra.main(config_path="../conf/import_log", config_name="import_log", version_base="1.3")
-def main(cfg: DictConfig) -> None:
-    """Look at every log that `data` names."""
-    with one_sentence():
-        check_given(cfg, "data", "a log, a folder of logs, or a list of them")
-        data = plain(cfg.data)
-        if cfg.robot is not None:
-            load_robot(cfg.robot)
-        paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
-        if not all([look(path, cfg) for path in paths]):
-            print("a log above cannot be right; what mends it stands beside the finding", file=sys.stderr)
-            raise SystemExit(1)
-
 
 if __name__ == "__main__":
-    launch(main, "import_log", __doc__)
+    launch("import_log")

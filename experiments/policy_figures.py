@@ -18,9 +18,9 @@ from drawing import panels, small_film, strip, told
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from omegaconf import DictConfig
-from support import check_given, one_sentence, plain, positive, whole
 
-from op3.command_line import launch
+from op3.apps.fields import check_given, plain, positive, whole
+from op3.apps.job import one_sentence
 from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
 from op3.report import read_result
@@ -137,9 +137,9 @@ def run(cfg: DictConfig) -> None:
 @hydra.main(config_path="../conf", config_name="policy_figures", version_base="1.3")
 def main(cfg: DictConfig) -> None:
     """Draw."""
-    with one_sentence("Nothing is kept but what the folder holds."):
+    with one_sentence():
         run(cfg)
 
 
 if __name__ == "__main__":
-    launch(main, "policy_figures", __doc__)
+    main()

@@ -27,7 +27,7 @@ COMMANDS: Mapping[str, str] = {
     "emulate": "emulate_robot",
     "compare": "compare_runs",
 }
-"""Experiment of each command."""
+"""Module in `op3.apps`, and config, of each command."""
 
 PRESETS: Mapping[str, Sequence[str]] = {
     "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
@@ -42,14 +42,14 @@ def files() -> Path:
 
 
 def config_file(config: str) -> Path:
-    """The file of a config, which may lie in a folder of its name."""
-    conf = files() / "conf"
-    return conf / f"{config}.yaml" if (conf / f"{config}.yaml").is_file() else conf / config / f"{config}.yaml"
+    """The file of a config, named as from ``conf/``."""
+    return files() / "conf" / f"{config}.yaml"
 
 
-def script(command: str) -> Path:
-    """The experiment of a command."""
-    return files() / "experiments" / f"{COMMANDS[command]}.py"
+def documentation(app: str) -> str:
+    """The docstring of a command's module in `op3.apps`, which is not imported for it."""
+    path = Path(__file__).parent / "apps" / f"{app}.py"
+    return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
 
 
 def asked_for(config: str) -> str | None:
@@ -58,12 +58,12 @@ def asked_for(config: str) -> str | None:
     return found and found[1]
 
 
-def overview(available: Mapping[str, Path]) -> str:
+def overview() -> str:
     """What ``op3 --help`` prints."""
-    rows = [f"  {name:15s}{summary(path)}" for name, path in available.items() if name != "demo"]
+    rows = [f"  {name:15s}{documentation(app).splitlines()[0]}" for name, app in COMMANDS.items() if name != "demo"]
     return "\n".join(
         [
-            "op3: gear-driven robots from simulation to reality.",
+            "op3: servo-driven robots from simulation to reality.",
             "",
             "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
             "",
@@ -71,19 +71,14 @@ def overview(available: Mapping[str, Path]) -> str:
             *rows,
             f"  {'doctor':15s}What this machine has, and what to do about what is missing.",
             f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',
+            f"  {'--version':15s}The version of op3.",
         ]
     )
 
 
-def summary(path: Path) -> str:
-    """The first sentence of a script's docstring."""
-    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return text.split("\n")[0]
-
-
-def completion(available: Mapping[str, Path]) -> str:
+def completion() -> str:
     """A bash function that completes commands, settings and the names in config groups."""
-    words = {name: settings_of(COMMANDS[name]) for name in available}
+    words = {name: settings_of(app) for name, app in COMMANDS.items()}
     for name in [name for name in words if " " in name]:
         first, second = name.split()
         words[first] = [second, *words[first], *words.pop(name)]
@@ -130,7 +125,7 @@ def names_in(group: str) -> list[str]:
     return sorted(name.removesuffix(".yaml") for name in known)
 
 
-def usage(config: str, documentation: str) -> str:
+def usage(config: str) -> str:
     """What ``--help`` of an experiment prints: how it is called, its settings with defaults and units, its groups."""
     text = config_file(config).read_text(encoding="utf-8")
     body = re.sub(r"\A(#.*\n)+", "", text)  # how it is called stands in the script's documentation
@@ -143,12 +138,12 @@ def usage(config: str, documentation: str) -> str:
             groups.setdefault(name, []).append(value.strip("[]"))
     listed = [f"{name}=  {', '.join(values)}" for name, values in groups.items()]
     called = {experiment: name for name, experiment in COMMANDS.items() if name not in PRESETS}
-    documentation = re.sub(
+    text_of_command = re.sub(
         r"python experiments/(\w+)\.py",
         lambda found: f"op3 {called[found[1]]}" if found[1] in called else found[0],
-        documentation,
+        documentation(config),
     )
-    parts = [documentation.strip(), "Settings, with defaults (setting=value; group.field=value):", body]
+    parts = [text_of_command, "Settings, with defaults (setting=value; group.field=value):", body]
     if listed:
         parts += ["Groups (group=name):", "\n".join(listed)]
     if asked := asked_for(config):

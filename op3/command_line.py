@@ -1,21 +1,20 @@
-"""``op3 <command> [overrides]``: the experiments as one command, with errors of one sentence.
+"""``op3 <command> [overrides]``: all commands, with errors of one sentence.
 
-The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`.
+The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`. Wrong names are found
+before the libraries of a command are imported.
 """
 
-import difflib
 import importlib.metadata
 import itertools
 import os
 import re
-import runpy
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from op3.command_help import (
     COMMANDS,
@@ -23,11 +22,8 @@ from op3.command_help import (
     asked_for,
     completion,
     config_file,
-    files,
     names_in,
     overview,
-    script,
-    settings_of,
     usage,
 )
 from op3.private import CLAIMED, hide, scrub, scrub_folder
@@ -42,9 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `op3 --help | head` ends as other commands do
     given = list(sys.argv[1:] if arguments is None else arguments)
-    available = {name: script(name) for name in COMMANDS if script(name).is_file()}
     if not given or given[0] in ("-h", "--help", "help"):
-        print(overview(available))
+        print(overview())
         return
     if given[0] == "--version":
         print(importlib.metadata.version("op3"))
@@ -52,73 +47,85 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = 2 if " ".join(given[:2]) in COMMANDS else 1
     command, rest = " ".join(given[:words]), given[words:]
     if command in ("doctor", "completion"):
-        from op3.doctor import report
-
         if rest:
             end(f"{command} takes no settings, got {rest[0]}")
-        print(report() if command == "doctor" else completion(available))
+        from op3.doctor import report
+
+        print(report() if command == "doctor" else completion())
         return
-    if command not in available:
-        end(f"op3 has no command {command!r}{nearest(command, [*available, 'doctor', 'completion'])}")
-    path = available[command]
+    if command not in COMMANDS:
+        end(f"unknown command {command!r}{nearest(command, [*COMMANDS, 'doctor', 'completion'])}")
+    app = COMMANDS[command]
     if rest and not rest[0].startswith(("-", "~")) and (Path(rest[0]).exists() or "=" not in rest[0]):
-        if (asked := asked_for(COMMANDS[command])) is None:
-            longer = [name for name in available if name.startswith(f"{command} ")]
+        if (asked := asked_for(app)) is None:
+            longer = [name for name in COMMANDS if name.startswith(f"{command} ")]
             close = nearest(f"{command} {rest[0]}", longer) if longer else ""
-            end(f"{rest[0]} is no setting: write setting=value{close}")
+            end(f"{rest[0]} is not a setting: write setting=value{close}")
         rest[0] = f"{asked}={rest[0]}"
     if not {"-h", "--help"} & set(rest):
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it: a closed socket is an error, not the end
-    sys.argv = [str(path), *PRESETS.get(command, ()), *rest]
-    sys.path.insert(0, str(path.parent))
+    sys.argv = ["op3", *PRESETS.get(command, ()), *rest]
+    launch(app)
+
+
+def launch(app: str) -> None:
+    """Run a command with the overrides of the process, as ``python experiments/<app>.py`` does.
+
+    Help that reads well, paths with any character, and wrong names in one sentence before anything heavy is imported.
+
+    Args:
+        app: module in `op3.apps`, whose config has the same name.
+    """
     try:
-        runpy.run_path(str(path), run_name="__main__")
+        _launch(app)
     except KeyboardInterrupt:  # before the work has begun, or between two jobs
         print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(130) from None
 
 
-def launch(run: Callable[[], Any], config: str, documentation: str | None) -> None:
-    """Run an experiment's Hydra main: help that reads well, paths with any character, wrong names in one sentence.
-
-    Args:
-        run: what ``hydra.main`` made.
-        config: name of its config.
-        documentation: docstring of the script.
-    """
+def _launch(app: str) -> None:
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(usage(app))
+        return
+    import hydra
     from hydra._internal.utils import get_args_parser
     from hydra.core.hydra_config import HydraConfig
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    if {"-h", "--help"} & set(sys.argv[1:]):
-        print(usage(config, documentation or ""))
-        return
-    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
+    from op3.apps.job import Job, check_first_job
+    from op3.apps.sentences import explained
+    from op3.identify.registration import register
+
+    words = ["confirm=false" if word == "--yes" else source_word(app, word) for word in sys.argv[1:]]
+    sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
     parser = get_args_parser()
     parser.error = lambda message: end(f"{message}; settings are written setting=value, and --help lists them")
     parser.parse_args(sys.argv[1:])
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or leave it out")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
-    # jobs of a launcher import the modules beside the script
-    beside = str(Path(sys.argv[0]).resolve().parent)
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [beside, os.environ.get("PYTHONPATH")]))
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
-    kind = _kind(config, sys.argv[1:])
-    asked = _asked_folder(config, kind, sys.argv[1:])
-    if asked is not None and (other := taken(asked)) not in (None, Path(sys.argv[0]).stem):
-        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be written over: choose another")
+    kind = _kind(app, sys.argv[1:])
+    asked = _asked_folder(app, kind, sys.argv[1:])
+    if asked is not None and (other := taken(asked)) not in (None, app):
+        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another")
     missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     folder = None
     try:
-        folder = claim(config, sys.argv[1:])
+        register()
+        if kind == "sweep":
+            check_first_job(app, [word for word in sys.argv[1:] if not word.startswith("-")])
+            if "population" in _text(app):
+                import op3.identify.sweeper  # noqa: F401  registers itself with Hydra
+        folder = claim(app, sys.argv[1:])
         if folder is not None:
             sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
-        run()
+        file = config_file(app)
+        hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app))()
     except (HydraException, OmegaConfBaseException, OSError) as error:
-        end(scrub(explained(error, config)))
+        end(scrub(explained(error, app)))
     except RuntimeError as error:
         if "srun" not in str(error):  # what submitit looks for
             raise
@@ -126,13 +133,21 @@ def launch(run: Callable[[], Any], config: str, documentation: str | None) -> No
     except ValueError as error:
         if HydraConfig.initialized():  # it is ours, and a mistake
             raise
-        end(scrub(explained(error, config)))
+        end(scrub(explained(error, app)))
     finally:
         place = folder or asked
         if kind == "sweep" and place is not None:
             compare(place)
         if place is not None and (folder or missing):
             leave(place, above=2 if folder else missing - 1)
+
+
+def source_word(app: str, argument: str) -> str:
+    """An argument in which `robot=` names a source, as it once did: ``robot=stand_in`` is ``source=stand_in``."""
+    name, _, value = argument.partition("=")
+    if name != "robot" or "\n  - source:" not in _text(app):
+        return argument
+    return f"source={value}" if set(value.split(",")) <= set(names_in("source")) else argument
 
 
 def compare(folder: Path) -> None:
@@ -154,13 +169,11 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
     flags = {word for word in arguments if word.startswith("-")} - {"-m", "--multirun"}
     if flags or any(re.match(r"\+*hydra\.(run|sweep)\.dir=", word) for word in arguments):
         return None
-    kind, text = _kind(config, arguments), _text(config)
-    section = re.search(rf"^  {kind}:\n    dir: (outputs/\w+/)\$\{{now:", text, re.MULTILINE)
-    if section is None:
+    if "\n  - run_folder" not in _text(config):
         return None
     now = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     for number in itertools.count(1):
-        folder = Path(section[1]) / (now if number == 1 else f"{now}_{number}")
+        folder = Path("outputs", config) / (now if number == 1 else f"{now}_{number}")
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
@@ -227,81 +240,6 @@ def quoted(argument: str) -> str:
 def _in_quotes(text: str) -> str:
     escaped = text.strip(" '\"").replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"
-
-
-def explained(error: Exception, config: str) -> str:
-    """What Hydra or the system complains of as one sentence, with the nearest setting or name where one is misspelt."""
-    text = " ".join(str(error).split())
-    if asked := getattr(error, "missing_cfg_file", None):
-        group, _, name = str(asked).rpartition("/")
-        return no_such(group, name) if group else f"there is no config {name!r}"
-    if found := re.match(r"Ambiguous value for argument '([^=]+)=([^']*)'", text):
-        name, values = found.groups()
-        return f"{name} has several values: add -m to run one after another, or write {name}=[{values}] for a list"
-    if "Config group override must be" in text:
-        named = [word.partition("=") for word in sys.argv[1:]]
-        return next((no_such(group, name) for group, _, name in named if (files() / "conf" / group).is_dir()), text)
-    if found := re.search(r"Could not override '([^']+)'", text):
-        asked, known = found[1].lstrip("+"), known_settings(config)
-        if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
-            part = asked.rpartition(".")[2]
-            if unknown[1] == part:
-                return f"{asked} is a setting of another choice: what is chosen here has no {part!r}"
-            asked = f"{asked}.{unknown[1]}"
-        group, _, part = asked.rpartition(".")
-        if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
-            return f"{group} has no entry {part!r} yet: add it with +{asked}=..."
-        if parts := [name.removeprefix(f"{group}.") for name in known if group and name.startswith(f"{group}.")]:
-            return f"{group} has no part {part!r}{nearest(part, parts)}"
-        close = difflib.get_close_matches(asked, known, n=1)
-        return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
-    if text.startswith("Error merging override") and error.__cause__:
-        return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
-    if asked := getattr(error, "override", None):
-        return f"{asked}: cannot be read; write setting=value, in quotes where it has blanks"
-    return told(error)
-
-
-def no_such(group: str, name: str) -> str:
-    """That a group has no such name, with the nearest one that it has."""
-    return f"{group}={name}: there is no {name!r} in the group {group}{nearest(name, names_in(group))}"
-
-
-def told(error: BaseException) -> str:
-    """An error as one sentence: the system's by what it is about, others in their own words."""
-    from omegaconf.errors import OmegaConfBaseException
-
-    if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
-        return "there is not enough memory for so much at once; ask for fewer robots, episodes or trials"
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another place"
-    if isinstance(error, OmegaConfBaseException):  # where in the config it was stands in lines below
-        return re.sub(r"^\w+ raised while resolving interpolation: ", "", str(error).splitlines()[0])
-    return " ".join(str(error).split())
-
-
-def known_settings(config: str) -> list[str]:
-    """Dotted names of all settings and the groups of a config as it is without overrides."""
-    from hydra import compose, initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
-    from omegaconf import DictConfig
-
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
-        cfg = compose(config, return_hydra_config=True)
-    names: list[str] = []
-
-    def walk(node: DictConfig, prefix: str) -> None:
-        for key in (key for key in node if not str(key).startswith("_")):
-            names.append(f"{prefix}{key}")
-            value = node._get_node(key)
-            if isinstance(value, DictConfig) and not value._is_none() and not value._is_missing():
-                walk(value, f"{prefix}{key}.")
-
-    walk(cfg, "")
-    names = [name for name in names if not name.startswith("hydra") or name.startswith("hydra.sweeper.")]
-    groups = [choice.partition("=")[0] for choice in settings_of(config)]
-    return list(dict.fromkeys([*names, *groups]))
 
 
 def end(sentence: str) -> NoReturn:

@@ -53,6 +53,14 @@ Whole = Annotated[int, BeforeValidator(_unfractioned), Field(ge=0)]
 Count = Annotated[int, BeforeValidator(_unfractioned), Field(ge=1)]
 Text = Annotated[str, Field(min_length=1)]
 
+GAIN_LOW = 0.1
+"""Lowest P gain that a policy commands [A/rad] (paper Sec. action space)."""
+
+GAIN_HIGH = 6.0
+"""Highest P gain [A/rad] (paper Sec. action space)."""
+
+Gain = Annotated[Number, Field(ge=GAIN_LOW, le=GAIN_HIGH)]
+
 _Item = TypeVar("_Item")
 _Group = TypeVar("_Group")
 

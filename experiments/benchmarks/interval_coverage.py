@@ -9,7 +9,6 @@ run's folder; the same command goes on where it stopped. A world in which the ro
 """
 
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -20,14 +19,14 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from support import library_motion, one_sentence, plain
-
+from op3.apps.fields import plain
+from op3.apps.job import one_sentence
+from op3.apps.support import library_motion
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
-from op3.report import Page, finish, run_provenance, write_result
+from op3.report import Page, run_provenance, write_result
 from op3.robot import Motion, load_robot
 from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
@@ -171,7 +170,7 @@ def report(folder: Path, worlds: list[dict[str, Any]], names: list[str], seed: i
     ]  # fmt: skip
     page.table(["parameter", "covered", "covered where identifiable", "identifiable", "worlds"], rows)
     page.provenance(provenance)
-    finish(page.write(folder / "index.html"), result)
+    print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 
 
 @hydra.main(config_path="../../conf/benchmark", config_name="interval_coverage", version_base="1.3")

@@ -10,7 +10,6 @@ it found missing. Every stage is an experiment in a folder of its own; the same 
 on where it stopped.
 """
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,15 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from stages import Stages
-from support import one_sentence, plain
-
-from op3.report import Page, finish, read_result, run_provenance, write_result
+from op3.apps.collect import collect
+from op3.apps.diagnose import diagnose
+from op3.apps.fields import plain
+from op3.apps.identify import identify
+from op3.apps.job import one_sentence
+from op3.apps.reidentify import reidentify
+from op3.apps.stages import Stages
+from op3.apps.train import train
+from op3.report import Page, read_result, run_provenance, write_result
 from op3.report.tables import Cell, number
 
 TOLERATED = 1.25
@@ -37,22 +40,21 @@ AIM = 0.4
 
 def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, dict[str, Any]]:
     """All stages of a robot; returns what its re-identification found, and the cost of that, on each road."""
-    hidden = ["source=emulated", f"world={robot}", f"seed={cfg.seed}"]
-    squat = stages.run(f"{robot}/squat", "collect.py", *hidden, "motion=squat")
-    how = ["method=lsq", "ablate=[]", "wandb=disabled", *plain(cfg.identify)]
-    model = stages.run(f"{robot}/identify", "identify.py", f"data={squat}", f"seed={cfg.seed}", *how) / "model.yaml"
+    hidden = {"source": "emulated", "world": robot, "seed": cfg.seed}
+    squat = stages.run(f"{robot}/squat", collect, **hidden, motion="squat")
+    how = {"method": "lsq", "ablate": [], "overrides": plain(cfg.identify)}
+    model = stages.run(f"{robot}/identify", identify, data=squat, seed=cfg.seed, **how) / "model.yaml"
     policy = cfg.policy
     if policy is None:
-        how = [f"model={model}", f"seed={cfg.seed}", *plain(cfg.train)]
-        policy = stages.run(f"{robot}/train", "train.py", "task=balance", *how) / "policy"
-    plays = [f"policy={policy}", f"task={cfg.task}", f"repeats={cfg.episodes}"]
-    episodes = stages.run(f"{robot}/episodes", "collect.py", *hidden, *plays)
-    what = [f"policy={policy}", f"data={squat}", f"episodes={episodes}", f"task={cfg.task}"]
-    how = [f"hydra.sweeper.n_trials={cfg.trials}", f"repeats={cfg.episodes}", f"seed={cfg.seed}", "wandb=disabled"]
-    how += plain(cfg.reidentify)
+        how = {"task": "balance", "model": model, "seed": cfg.seed, "wandb": "offline", "overrides": plain(cfg.train)}
+        policy = stages.run(f"{robot}/train", train, **how) / "policy"
+    plays = {"policy": policy, "task": cfg.task, "repeats": cfg.episodes}
+    episodes = stages.run(f"{robot}/episodes", collect, **hidden, **plays)
+    what = {"policy": policy, "data": squat, "episodes": episodes, "task": cfg.task, "seed": cfg.seed}
+    how = [f"hydra.sweeper.n_trials={cfg.trials}", f"repeats={cfg.episodes}", *plain(cfg.reidentify)]
 
     def reidentified(name: str, start: Path) -> dict[str, Any]:
-        found = stages.run(f"{robot}/{name}", "reidentify.py", *what, f"model={start}", *how)
+        found = stages.run(f"{robot}/{name}", reidentify, **what, model=start, overrides=how)
         numbers = read_result(found / "result.yaml")
         return {
             **{key: numbers[key] for key in KEYS},
@@ -65,9 +67,8 @@ def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, dict[str
 
     found = {"reidentify": reidentified("reidentify", model)}
     if cfg.diagnose:
-        stand = stages.on_stand(f"{robot}/stand", cfg.diagnosis, *hidden)
-        where = [f"data={stand}", f"model={model}", f"seed={cfg.seed}"]
-        named = stages.run(f"{robot}/diagnose", "diagnose.py", *where)
+        stand = stages.on_stand(f"{robot}/stand", list(cfg.diagnosis), hidden)
+        named = stages.run(f"{robot}/diagnose", diagnose, data=stand, model=model, seed=cfg.seed)
         found["diagnose"] = reidentified("diagnosed_reidentify", named / "model.yaml")
         found["diagnose"]["verdict"] = yaml.safe_load((named / "verdict.yaml").read_text())["sentence"]
     return found
@@ -187,7 +188,7 @@ def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int
         )  # fmt: skip
     page.files({f"{robot}/reidentify/index.html": f"re-identification of {robot}" for robot in robots})
     page.provenance(provenance)
-    finish(page.write(folder / "index.html"), result)
+    print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 
 
 @hydra.main(config_path="../../conf/benchmark", config_name="reidentification", version_base="1.3")

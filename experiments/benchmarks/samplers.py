@@ -5,7 +5,6 @@ python experiments/benchmarks/samplers.py data=<log> [trials=2000] [seeds=[0,1,2
 Every study is resumable: the same command in the same folder goes on.
 """
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,13 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from support import check_given, focus_joints, one_sentence, plain
-
+from op3.apps.fields import check_given, plain
+from op3.apps.job import one_sentence
+from op3.apps.support import focus_joints
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
-from op3.report import Page, finish, run_provenance, write_result
+from op3.report import Page, run_provenance, write_result
 from op3.report.figures import history_figure
 from op3.rollout import read_logs
 from op3.sim import load_model
@@ -96,7 +95,7 @@ def report(cfg: DictConfig, runs: list[dict[str, Any]], folder: Path) -> None:
     trials = {f"{run['sampler']}, seed {run['seed']}": run["losses"] for run in runs}
     page.figure(history_figure(trials), "Best so far of every study.")
     page.provenance(provenance)
-    finish(page.write(folder / "index.html"), result)
+    print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 
 
 if __name__ == "__main__":

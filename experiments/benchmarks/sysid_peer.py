@@ -9,7 +9,6 @@ actuator knows no battery and no latency. Both are fitted to joint angles and ve
 values, and judged by the mean absolute angle error of open-loop replays.
 """
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -22,14 +21,13 @@ from hydra.core.hydra_config import HydraConfig
 from mujoco import sysid
 from omegaconf import DictConfig
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from support import check_given, one_sentence, plain
-
+from op3.apps.fields import check_given, plain
+from op3.apps.job import one_sentence
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
-from op3.report import Page, finish, run_provenance, write_result
+from op3.report import Page, run_provenance, write_result
 from op3.robot import build_scene, load_robot
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model
@@ -235,7 +233,7 @@ def main(cfg: DictConfig) -> None:
         rows = [[name, *(values[c] for c in columns)] for name, values in results.items()]
         page.table(["", "error [mrad]", "held-out error [mrad]", "time [s]", "simulations"], rows)
         page.provenance(provenance)
-        finish(page.write(folder / "index.html"), result)
+        print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ step, which is what most of a run is like.
 
 import argparse
 import statistics
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -16,12 +15,9 @@ from pathlib import Path
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from support import plain
 from train import describe, learner, robots
 
+from op3.apps.fields import plain
 from op3.report import machine, run_provenance
 from op3.train import Practice, TrainSettings, train
 

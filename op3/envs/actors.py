@@ -9,11 +9,11 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from op3.assets import here_or_shipped
 from op3.envs.batched import BatchedEnv
 from op3.envs.factory import make_env
 from op3.policy import ActionMap, PolicyBundle
 from op3.robot import load_robot
-from op3.robot.assets import here_or_shipped
 from op3.servo import RobotModel
 from op3.sim import model_for
 from op3.tasks.baselines import POSITION_GAIN, Hold, Random, StiffWalk, Zero, position_mode

@@ -5,7 +5,7 @@ the value in the model that the config's key ``model`` names; ``${start:torque_c
 catalogue's range. ``${own:torque_constant,0.1,1.5}`` is the range ``interval(0.1, 1.5)`` where that model has the
 parameter, and null, which is not searched, where it has not; where the model has values under conditions, those are
 searched and not the shared one. ``${each_joint:}`` is what the config's `per_joint` asks the sweeper to search once for
-each joint. `register` makes them known.
+each joint. `op3.identify.registration` makes them known.
 """
 
 from functools import lru_cache
@@ -13,7 +13,6 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from op3.identify import search_groups
 from op3.robot import Robot, load_robot
 from op3.rollout.read import robot_of
 from op3.servo import Parameter, RobotModel, catalogue, parameter
@@ -68,7 +67,8 @@ def _of_the_base(known: Parameter) -> bool:
     )
 
 
-def _range(name: str, *, _root_: DictConfig) -> str | None:
+def range_of(name: str, *, _root_: DictConfig) -> str | None:
+    """The range that is searched of a parameter; None of one that these logs cannot show."""
     robot = chosen_robot(_root_)
     if (robot.file.fixed or robot.file.base is None) and _of_the_base(parameter(name)):
         return None  # what is bolted down shows neither mass nor centre of mass
@@ -76,14 +76,16 @@ def _range(name: str, *, _root_: DictConfig) -> str | None:
     return f"interval({low!r}, {high!r})"
 
 
-def _value(name: str, *, _root_: DictConfig) -> float:
+def value_of(name: str, *, _root_: DictConfig) -> float:
+    """A parameter's value in the model."""
     model = chosen_model(_root_)
     # a group may name a parameter of an effect that this model has switched off: it starts from its nominal value
     base, _ = split_name(name)
     return model.estimate(name).value if base in model.parameters() else parameter(base).nominal
 
 
-def _own(name: str, low: float, high: float, *, _root_: DictConfig) -> str | None:
+def own_of(name: str, low: float, high: float, *, _root_: DictConfig) -> str | None:
+    """This range where the model has the parameter; None where it has not."""
     model = chosen_model(_root_)
     base, condition = split_name(name)
     if base not in model.parameters():
@@ -93,20 +95,15 @@ def _own(name: str, low: float, high: float, *, _root_: DictConfig) -> str | Non
     return f"interval({float(low)!r}, {float(high)!r})" if searched else None
 
 
-def _each_joint(*, _root_: DictConfig) -> dict[str, list[str]]:
+def each_joint_of(*, _root_: DictConfig) -> dict[str, list[str]]:
+    """What is searched once for each joint."""
     joints, names = list(_root_.joints or chosen_robot(_root_).controlled), _root_.per_joint
     if isinstance(names, str):
         raise ValueError(f"per_joint must be a list: write per_joint=[{names}]")
     return {f"parameters.{name}": joints for name in names}
 
 
-def _start(name: str, *, _root_: DictConfig) -> float:
+def start_of(name: str, *, _root_: DictConfig) -> float:
+    """A parameter's value in the model, moved into its range."""
     low, high = _bounds(name, _root_)
-    return min(max(_value(name, _root_=_root_), low), high)
-
-
-def register() -> None:
-    """Register the interpolations, and the groups that use them; again is harmless."""
-    search_groups.register()
-    for resolver in (_range, _value, _start, _own, _each_joint):
-        OmegaConf.register_new_resolver(resolver.__name__.removeprefix("_"), resolver, replace=True)
+    return min(max(value_of(name, _root_=_root_), low), high)

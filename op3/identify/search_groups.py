@@ -5,12 +5,14 @@ for a model in which it is on. Both take every effect that has parameters to sea
 parameters of several effects.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
 
-from op3.servo import catalogue
+from op3.settings import read_yaml
 
 TABLE_ONE: Mapping[str, Sequence[str]] = {
     "gear": ("backward_efficiency",),
@@ -21,8 +23,16 @@ TABLE_ONE: Mapping[str, Sequence[str]] = {
 """Groups of the paper's Table I, whose motor is the effect of that name, and the speed that it does not give."""
 
 
+SEARCHED = Path(__file__).with_name("searched_parameters.yaml")
+"""The parameters that are searched with each effect of the catalogue, which need not be imported to know them."""
+
+
 def searched_parameters() -> dict[str, tuple[str, ...]]:
-    """Parameters that are searched with each effect, by its name."""
+    """Parameters that are searched with each effect, by its name; effects of the user's once the catalogue is there."""
+    if "op3.servo" not in sys.modules:
+        return {name: tuple(names) for name, names in read_yaml(SEARCHED).items()}
+    from op3.servo import catalogue
+
     searched = {name: tuple(p.name for p in effect.parameters if p.searched) for name, effect in catalogue().items()}
     return {name: names for name, names in searched.items() if names}
 

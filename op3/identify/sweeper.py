@@ -1,6 +1,6 @@
 """The Hydra sweeper `hydra/sweeper: population`: a study evaluated in populations, one Hydra job each.
 
-An experiment imports this module before `@hydra.main` and hands its work to `sweep_or_report`. Run without `-m`, the
+A command hands its work to `sweep_or_report`. Run without `-m`, the
 study runs in this process, in Hydra's run folder. With `-m`, the sweeper asks a population, writes it to a file, and
 launches one job through the configured launcher with `population=<file>`; in that job `sweep_or_report` evaluates the
 file and returns the results. Either way the study asks the same trials.
@@ -31,7 +31,6 @@ from typing import Any
 
 import optuna
 from hydra.core.config_loader import ConfigLoader
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, Quote, QuotedString
@@ -45,8 +44,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
-from op3.identify.settings import PLUGIN_MODULE, PopulationSweeperConf, StudySettings, read_settings
+from op3.identify.settings import StudySettings, read_settings
 from op3.identify.study import Evaluate, Outcome, as_outcome, evaluate_population
+from op3.identify.sweeper_conf import PLUGIN_MODULE
 from op3.rollout.files import write_text
 
 log = logging.getLogger(__name__)
@@ -320,7 +320,6 @@ def register() -> None:
     module.PopulationSweeper = PopulationSweeper  # pyright: ignore[reportAttributeAccessIssue]
     sys.modules[PLUGIN_MODULE] = module
     Plugins.instance().register(PopulationSweeper)
-    ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
 
 
 register()

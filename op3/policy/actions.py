@@ -10,15 +10,9 @@ import torch
 from numpy.typing import NDArray
 
 from op3.robot import DEFAULT, Robot, load_robot
-from op3.settings import Listed, NotNegative, Number, Some, Text, nearest, settings
+from op3.settings import GAIN_HIGH, GAIN_LOW, Listed, NotNegative, Number, Some, Text, nearest, settings
 
 Array = TypeVar("Array", NDArray[Any], torch.Tensor)
-
-GAIN_LOW = 0.1
-"""Lowest P gain [A/rad] (paper Sec. action space)."""
-
-GAIN_HIGH = 6.0
-"""Highest P gain [A/rad] (paper Sec. action space)."""
 
 D_GAIN = 0.1
 """D gain [A s/rad] of every joint (paper Sec. action space)."""

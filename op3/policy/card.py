@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import yaml
 
+from op3.assets import here_or_shipped
 from op3.policy.bundle import PolicyBundle
-from op3.robot.assets import here_or_shipped
 from op3.robot.self_collision import LARGEST_OVERLAP
 from op3.rollout.files import write_text
 from op3.settings import Count, Named, NotNegative, Share, settings

@@ -21,6 +21,10 @@ LIBRARY = "plotly.min.js"
 """Draws the figures; it lies beside the pages of a folder, or above those of a multirun's numbered folders."""
 
 
+MOST_KEY_NUMBERS = 5
+"""Numbers that a command ends with: more are not read at a glance."""
+
+
 class Page:
     """A page that is built from top to bottom and written once; it loads nothing from elsewhere and works offline.
 
@@ -148,6 +152,19 @@ class Page:
     def provenance(self, values: Mapping[str, Any]) -> None:
         """Say at the foot where the page comes from; nested mappings become one line each."""
         self._provenance |= {key.replace("_", " "): _line(scrub(value)) for key, value in values.items()}
+
+    @property
+    def headline(self) -> str:
+        """The outcome in words, as it stands under the title."""
+        return f"{self._verdict} {self._detail}".strip()
+
+    @property
+    def key_numbers(self) -> list[str]:
+        """The tiles as lines of text: name, value, unit, and what to compare it with; five at most."""
+        lines = [
+            f"{t['name']}: {t['value']} {t['unit']}".rstrip() + f" ({t['note']})" * bool(t["note"]) for t in self._tiles
+        ]
+        return lines[:MOST_KEY_NUMBERS]
 
     def html(self, library: str = LIBRARY) -> str:
         """The page as text; `library` is the path of `LIBRARY` from the page."""

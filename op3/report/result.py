@@ -88,21 +88,22 @@ def publish(
     run: RunFolder,
     curve: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, Any]:
-    """Write ``index.html`` and ``result.yaml``, log the numbers to wandb, and print the paths of both files.
+    """Write ``index.html`` and ``result.yaml``, and log the numbers to wandb.
 
     Args:
         page: of the run.
-        values: of ``result.yaml``; the provenance is added.
+        values: of ``result.yaml``; the page's headline, its key numbers and the provenance are added.
         run: where it is kept.
         curve: numbers by step and name, for wandb; those that are not finite are left out.
 
     Returns:
         The values.
     """
-    values = {**values, "provenance": dict(run.provenance)}
+    said = {"headline": page.headline, "key_numbers": page.key_numbers}
+    values = {**said, **values, "provenance": dict(run.provenance)}
     page.provenance(run.provenance)
-    result = write_result(run.path / "result.yaml", values, NAMES["meanings"].get(page.template))
-    paths = page.write(run.path / "index.html"), result
+    write_result(run.path / "result.yaml", values, NAMES["meanings"].get(page.template))
+    page.write(run.path / "index.html")
     if run.wandb_mode != "disabled":
         with RunLogger(run.path, config=run.config, mode=run.wandb_mode) as logger:
             logger.lineage(run.used, run.made)
@@ -111,18 +112,12 @@ def publish(
                     if math.isfinite(number):
                         logger.log({name: number}, step=step)
             logger.summary({key: value for key, value in values.items() if isinstance(value, int | float | str)})
-    finish(*paths)
     return values
 
 
 def finite(value: float) -> float | None:
     """A number of ``result.yaml``; None in place of what a simulation that diverged leaves."""
     return float(value) if math.isfinite(value) else None
-
-
-def finish(page: str | Path, result: str | Path) -> None:
-    """Print where page and results are; an experiment's last two lines."""
-    print(page, result, sep="\n", flush=True)
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Robots and servos as data, scenes and motions; what is the OP3's by nature is in `op3_motions` and `op3_suites`."""
 
-from op3.robot.assets import asset_path, named_configs
+from op3.assets import asset_path, named_configs
 from op3.robot.board import BoardDrive, BoardMotion, Tilts, Waves, WeightDrive, WeightSchedule, board_drive, stack
 from op3.robot.entity import RobotEntity
 from op3.robot.excitations import chirp, multisine, staircase, triangle

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot.assets import asset_path
+from op3.assets import robot_file, robot_files
 from op3.robot.data_file import DataFile, DataFileError
 from op3.robot.model_source import ModelSource, read_model
 from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names, servo_path
@@ -299,22 +299,14 @@ class Robot:
         return load_robot, (str(self.path),)
 
 
-@lru_cache(maxsize=1)
-def robot_files() -> dict[str, Path]:
-    """The files of all robots that come with the project, by name."""
-    return {path.stem: path.resolve() for path in sorted(asset_path("robots").glob("*.yaml"))}
-
-
 def load_robot(name: str | Path | Robot = DEFAULT) -> Robot:
     """A robot by its name in ``assets/robots`` or by the path of its file; a `DataFileError` if that is wrong."""
     if isinstance(name, Robot):
         return name
-    known = robot_files()
-    path = known.get(str(name)) or Path(name)
-    if path.suffix not in (".yaml", ".yml"):
-        raise DataFileError(f"there is no robot {str(name)!r}{nearest(str(name), known)}, or give the path of a .yaml")
-    if not path.is_file():
-        raise DataFileError(f"there is no robot file {path}{nearest(path.stem, known)}, or correct the path")
+    try:
+        path = robot_file(name)
+    except ValueError as error:
+        raise DataFileError(str(error)) from None
     return _loaded(path.resolve(), path.stat().st_mtime_ns)
 
 

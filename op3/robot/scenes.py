@@ -19,7 +19,7 @@ from dm_control import composer, mjcf
 from lxml import etree
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot.assets import asset_path
+from op3.assets import asset_path
 from op3.robot.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
 from op3.robot.entity import RobotEntity
 from op3.robot.kinematics import level_soles, quaternion, rotation_matrix, standing_height

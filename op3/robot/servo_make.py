@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from op3.robot.assets import asset_path
+from op3.assets import asset_path
 from op3.robot.data_file import DataFile, DataFileError, Real, Record, among
 from op3.settings import nearest
 

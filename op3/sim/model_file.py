@@ -8,11 +8,11 @@ from typing import Any
 
 import yaml
 
-from op3.robot import named_configs
+from op3.assets import find_model
 from op3.rollout.files import write_text
 from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
-from op3.settings import nearest, read_yaml
+from op3.settings import read_yaml
 
 FORMAT = "op3-model/1"
 
@@ -23,31 +23,6 @@ def save_model(model: RobotModel, path: str | Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, yaml.safe_dump(to_dict(model), sort_keys=False))
     return path
-
-
-def model_names() -> tuple[str, ...]:
-    """Names of the models that come with the project, in ``conf/servo/``."""
-    return tuple(named_configs("servo"))
-
-
-def find_model(name_or_path: str | Path) -> Path:
-    """The file of a model: a path, or a name from `model_names`.
-
-    Raises:
-        FileNotFoundError: if there is neither.
-    """
-    path = Path(name_or_path)
-    if path.is_file():
-        return path
-    if path.is_dir() and (path / "model.yaml").is_file():
-        return path / "model.yaml"
-    named = named_configs("servo")
-    if str(name_or_path) in named:
-        return named[str(name_or_path)]
-    raise FileNotFoundError(
-        f"there is no model file {str(name_or_path)!r}: give the path of a model.yaml or a name"
-        + nearest(name_or_path, model_names())
-    )
 
 
 def load_model(name_or_path: str | Path) -> RobotModel:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
+from op3.assets import named_configs
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
 from op3.policy.mirror import Mirror
@@ -17,7 +18,6 @@ from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
 from op3.policy.terms import Term
 from op3.robot import Robot, load_robot
-from op3.robot.assets import named_configs
 from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 

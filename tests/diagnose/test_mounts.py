@@ -2,9 +2,9 @@
 
 import pytest
 
+from op3.assets import asset_path
 from op3.diagnose import Diagnosis, LogSplit, diagnosed_mount, on_other_mounts
 from op3.robot import chirp, squat
-from op3.robot.assets import asset_path
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
 from op3.tasks import simulate_motion

@@ -64,13 +64,13 @@ class Command:
     @property
     def script(self) -> Path | None:
         """The experiment that ``python experiments/<name>.py`` or ``op3 <command>`` starts; None of another program."""
-        from op3.command_help import COMMANDS, script
+        from op3.command_help import COMMANDS
 
         program, *rest = self.words
         if program == "python" and self.ours:
             return ROOT / rest[0]
         named = [" ".join(rest[:count]) for count in (2, 1) if " ".join(rest[:count]) in COMMANDS]
-        return script(named[0]) if program == "op3" and named else None
+        return ROOT / "experiments" / f"{COMMANDS[named[0]]}.py" if program == "op3" and named else None
 
 
 def commands(page: Path) -> Iterator[Command]:

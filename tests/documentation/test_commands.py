@@ -56,7 +56,9 @@ def accept(monkeypatch, tmp_path):
         return parsed
 
     def run_hydra(args, task_function, config_path, config_name, **_):
-        folder = (Path(task_function.__code__.co_filename).parent / config_path).resolve()
+        folder = Path(config_path)
+        if not folder.is_absolute():  # of a script that stands beside `conf`
+            folder = (Path(task_function.__code__.co_filename).parent / config_path).resolve()
         jobs = variants(args.overrides)
         for overrides in jobs:
             GlobalHydra.instance().clear()
@@ -90,7 +92,7 @@ def start(command: Command, monkeypatch) -> None:
     words = list(command.words[1:])
     script = command.script
     monkeypatch.setenv("HYDRA_FULL_ERROR", "1")  # as `launch` sets it, and here only as long as the test
-    if script and not re.search("argparse|hydra.main", script.read_text(encoding="utf-8")):
+    if script and not re.search("argparse|hydra.main|launch", script.read_text(encoding="utf-8")):
         assert not words[1:], f"{script.name} takes no arguments"
     elif command.words[0] == "op3":
         main(words)

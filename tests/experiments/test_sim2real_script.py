@@ -1,12 +1,12 @@
 """The whole method at the smallest budget, in every condition."""
 
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
+from op3.apps.job import composed
 from op3.policy import PolicyBundle
 from op3.report import read_result
 from op3.sim import load_model
@@ -98,9 +98,9 @@ def test_make_demo_is_a_command_that_the_script_takes():
     line = next(row for row in (ROOT / "Makefile").read_text().splitlines() if "experiments/sim2real.py" in row)
     overrides = line.split("experiments/sim2real.py")[1].split()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        composed = compose("sim2real", overrides)
-    assert composed.world == "robot_4"
-    assert composed.condition == "reidentified"
+        cfg = compose("sim2real", overrides)
+    assert cfg.world == "robot_4"
+    assert cfg.condition == "reidentified"
 
 
 @pytest.mark.parametrize(
@@ -114,11 +114,7 @@ def test_make_demo_is_a_command_that_the_script_takes():
 )
 def test_what_stages_are_asked_is_what_they_take(experiment, overrides):
     """The overrides that the loop hands to its stages compose, and the task arrives."""
-    import_module("op3.identify.sweeper")  # registers itself
-    import_module("op3.identify.search_groups").register()
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        composed = compose(experiment, overrides)
-    assert instantiate(composed.task).name == "walk"
+    assert instantiate(composed(experiment, overrides).task).name == "walk"
 
 
 @pytest.mark.slow

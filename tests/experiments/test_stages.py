@@ -1,22 +1,32 @@
-"""Stages of longer experiments, each done once."""
+"""Stages of longer commands, each done once."""
 
-import sys
-from pathlib import Path
+import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from op3.apps.collect import collect
+from op3.apps.predict import predict
+from op3.apps.stages import DONE, Stages
 
-from stages import DONE, Stages
 
-
-def test_runs_share_the_stages_that_they_ask_alike(tmp_path):
+def test_runs_share_the_stages_with_the_same_arguments(tmp_path, capsys):
     """What is the same but for the run's folder is done once; what differs gets a folder of its own."""
     squats = {}
     for name, motion in (("a", "squat"), ("b", "squat"), ("c", "squat_fast")):
         (tmp_path / name).mkdir()
         stages = Stages(tmp_path / name, tmp_path / "shared")
-        squats[name] = stages.run("squat", "collect.py", "source=model", "mount=stand", f"motion={motion}")
-        shown = stages.run("1_predict", "predict.py", f"data={squats[name]}", "model=paper")
+        squats[name] = stages.run("squat", collect, source="model", mount="stand", motion=motion)
+        shown = stages.run("1_predict", predict, data=squats[name], model="paper")
         assert (shown / "result.yaml").exists()
     assert squats["a"].resolve() == squats["b"].resolve() != squats["c"].resolve()
     assert len(list((tmp_path / "shared").glob(f"squat-*/{DONE}"))) == 2
     assert len(list((tmp_path / "shared").glob(f"predict-*/{DONE}"))) == 2
+    said = capsys.readouterr().out
+    assert said.count("done before") == 2
+    assert said.count("1 recording: ") == 2
+
+
+def test_a_stage_that_is_refused_can_be_corrected(tmp_path):
+    """Its error names the stage, and the same stage takes other arguments afterwards, for nothing was done."""
+    stages = Stages(tmp_path)
+    with pytest.raises(ValueError, match="stage squat: there is no model file 'pape'"):
+        stages.run("squat", collect, source="model", mount="stand", model="pape")
+    assert stages.run("squat", collect, source="model", mount="stand", overrides=["motion.duration=0.5"]).is_dir()

@@ -6,7 +6,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from op3.identify.resolvers import register
+from op3.identify.registration import register
 from op3.identify.search_groups import TABLE_ONE, searched_parameters
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report

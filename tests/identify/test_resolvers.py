@@ -3,7 +3,7 @@
 import pytest
 from omegaconf import OmegaConf
 
-from op3.identify.resolvers import register
+from op3.identify.registration import register
 
 OFFSET = "encoder_offset@length=7e-2"
 

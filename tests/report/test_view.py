@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,22 +128,20 @@ def test_joints_that_a_log_lacks_are_at_home():
     assert states.shape == (1, 12, 12)
 
 
-def test_a_policy_on_its_feet_has_no_ghost(tmp_path, monkeypatch):
+def test_a_policy_on_its_feet_has_no_ghost(tmp_path):
     """Its commands without what it felt make any simulation fall; a motion's do not."""
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "experiments"))
     log, told = simulate_motion(load_model("paper"), squat(duration=0.5), mount="floor"), []
     for rate in (None, 31.25):
         folder = Rollout(log.data, log.metadata.replace(policy_rate=rate)).save(tmp_path / str(rate))
         cfg = OmegaConf.create({"what": str(folder), "robot": None, "number": 0, "model": None})
-        told.append(list(import_module("view").of_log(cfg).logs))
+        told.append(list(import_module("op3.apps.view").of_log(cfg).logs))
     assert told == [["measured", "simulated"], ["measured"]]
 
 
-def test_a_policy_is_shown_with_its_card(tmp_path, monkeypatch, capsys):
+def test_a_policy_is_shown_with_its_card(tmp_path, capsys):
     """What the card says stands above its episode; without one it is said how to make it."""
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "experiments"))
     bundle = holding_bundle()
-    folder, view = bundle.save(tmp_path / "bundle"), import_module("view")
+    folder, view = bundle.save(tmp_path / "bundle"), import_module("op3.apps.view")
     cfg = OmegaConf.create({"what": str(folder), "model": "paper", "seed": 0})
     view.show_card(cfg, folder)
     assert capsys.readouterr().out == f"{folder} has no card; op3 evaluate policy={folder} card=true makes one\n"

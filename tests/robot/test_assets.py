@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from op3.robot import asset_path, assets
+from op3 import assets
+from op3.assets import asset_path
 
 
 def test_checkout():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from robots import ROBOTS, write_robot
 
+from op3.assets import robot_files
 from op3.robot import RobotEntity, build_scene, load_robot, load_servo
-from op3.robot.robot import robot_files
 from op3.robot.servo_make import servo_files
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from op3.assets import asset_path
 from torchrl.envs import check_env_specs
 
 from op3.envs import make_env
 from op3.envs.record import record_episodes
 from op3.policy import PolicyBundle
-from op3.robot.assets import asset_path
 from op3.robot.robot import robot_files
 from op3.tasks import find_task, task_names
 from op3.tasks.baselines import Hold

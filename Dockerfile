@@ -1,0 +1,18 @@
+# op3 on a processor: docker build -t op3 . && docker run --rm -v "$PWD/outputs:/work/outputs" op3 demo diagnose
+FROM python:3.11-slim
+
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends libegl1 libosmesa6 g++ \
+    && rm -rf /var/lib/apt/lists/*
+WORKDIR /src
+COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY op3 op3
+COPY conf conf
+COPY assets assets
+RUN pip install --no-cache-dir --index-url https://download.pytorch.org/whl/cpu --extra-index-url https://pypi.org/simple \
+        -c constraints.txt torch \
+    && pip install --no-cache-dir -c constraints.txt .
+ENV MUJOCO_GL=osmesa
+WORKDIR /work
+ENTRYPOINT ["op3"]
+CMD ["--help"]

@@ -1,0 +1,12 @@
+"""The commands as functions: typed arguments, a result object, and nothing printed that the result does not hold.
+
+    from op3.apps.collect import collect
+    from op3.apps.identify import identify
+
+    squat = collect("squat", source="stand_in", world="eta_070")
+    identified = identify(squat.folders, method="lsq")
+    print(identified.headline, identified.model)
+
+Each module has a function of its name for Python, and a `main` for Hydra behind ``op3 <command>`` and
+``python experiments/<name>.py``. Both read the same config, ``conf/<name>.yaml``.
+"""

@@ -1,0 +1,275 @@
+"""Record a motion, a plan of motions or a policy on a robot, once or several times.
+
+python experiments/collect.py source=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
+python experiments/collect.py world=random world_seed=7 motion=squat_heldout
+python experiments/collect.py motion=chirp_knee mount=stand
+python experiments/collect.py plan=outputs/design_excitation/<run>/plan.yaml
+python experiments/collect.py source=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
+python experiments/collect.py source=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
+python experiments/collect.py source=emulated policy=assets/policies/balance task=balance_eval repeats=10
+python experiments/collect.py -m world=eta_060,eta_070,eta_080
+python experiments/collect.py robot=path/to/my_robot.yaml source=model motion=multisine mount=stand
+
+`robot=stand_in`, `robot=emulated` and `robot=real` of before still mean `source=`.
+
+The same command with the same hydra.run.dir goes on after an interruption with what has not been recorded yet.
+"""
+
+import datetime
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.progress import Progress
+from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
+from op3.deploy import Stop
+from op3.deploy.dynamixel_bus import Unplugged
+from op3.deploy.exit_codes import ExitCode
+from op3.deploy.ticker import PERIOD
+from op3.policy import PolicyBundle
+from op3.policy.card import check_card
+from op3.robot import Motion, check_motion, load_robot
+from op3.rollout import MOUNTS, Rollout, git_hash
+from op3.settings import read_yaml
+
+INTERRUPTED = goes_on("recordings")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collected(CommandResult):
+    """What was recorded.
+
+    Attributes:
+        folders: of the logs, in the order of recording.
+    """
+
+    folders: tuple[Path, ...]
+
+    @property
+    def logs(self) -> list[Rollout]:
+        """The logs."""
+        return [Rollout.load(folder) for folder in self.folders]
+
+
+def collect(
+    motion: str | None = None,
+    *,
+    source: str = "stand_in",
+    robot: str | Path | None = None,
+    policy: str | Path | None = None,
+    task: str | None = None,
+    plan: str | Path | None = None,
+    mount: str | None = None,
+    world: str | None = None,
+    world_seed: int | None = None,
+    model: str | Path | None = None,
+    port: str | None = None,
+    repeats: int = 1,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    overrides: Sequence[str] = (),
+) -> Collected:
+    """Record a motion, a plan of motions or a policy's episodes on a robot.
+
+    Args:
+        motion: a name in ``conf/motion``.
+        source: who plays the robot: ``stand_in``, ``emulated``, ``real`` or ``model``.
+        robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
+        policy: folder of a bundle whose episodes are recorded instead of a motion.
+        task: that the policy attempts, a name in ``conf/task``.
+        plan: path of a ``plan.yaml``, played instead of a motion.
+        mount: ``floor`` or ``stand``.
+        world: of a stand-in: a name in ``conf/stand_in``, a path, or ``random``.
+        world_seed: which random world.
+        model: of the sources ``emulated`` and ``model``: in place of a stand-in.
+        port: of a real robot.
+        repeats: how often the same is recorded.
+        seed: of everything random in the recordings.
+        folder: of the run, which goes on where it was interrupted; None: a temporary one.
+        overrides: of further settings of ``conf/collect.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        op3.deploy.Stop: if a robot on a bus ends the recording.
+    """
+    given = overrides_of(
+        motion=motion, source=source, robot=robot, policy=policy, task=task, plan=plan, mount=mount, world=world,
+        world_seed=world_seed, model=model, port=port, repeats=repeats, seed=seed,
+    )  # fmt: skip
+    with configured("collect", [*given, *overrides], folder) as cfg:
+        return run(cfg)
+
+
+def run(cfg: DictConfig) -> Collected:
+    """Record as often as the config asks."""
+    folders = tuple(record_all(cfg))
+    logs = [Rollout.load(folder) for folder in folders]
+    rows, seconds = sum(log.rows for log in logs), sum(log.duration for log in logs)
+    falls = sum(bool(log.metadata.fallen) for log in logs)
+    fell = f"; the robot fell in {falls}" if falls else ""
+    headline = f"{len(logs)} recording{'s' * (len(logs) != 1)}: {rows} rows, {seconds:.2f} s in all{fell}."
+    return Collected(output_folder(), headline, folders=folders)
+
+
+def record_all(cfg: DictConfig) -> list[Path]:
+    """Record as often as asked and return the rollout folders."""
+    check_same(place(ASKED), asked())
+    if cfg.plan is not None:
+        return collect_plan(cfg, read_plan(Path(cfg.plan)))
+    if cfg.mount not in MOUNTS[:2]:
+        raise ValueError(f"mount must be {' or '.join(MOUNTS[:2])}, got {cfg.mount!r}")
+    if cfg.policy is not None:
+        return collect_episodes(cfg)
+    motion = built(cfg.motion)
+    check_made_for(motion, cfg.robot)
+    check_motion(motion, cfg.mount)
+    robot = built(cfg.source)
+    name = HydraConfig.get().runtime.choices.motion
+    return [record(cfg, robot, motion, f"{name}-{number}") for number in range(cfg.repeats)]
+
+
+def check_made_for(motion: Motion, robot: str) -> None:
+    """Refuse a motion of another robot."""
+    known = load_robot(robot)
+    if load_robot(motion.robot).path != known.path:
+        general = "chirp, multisine, staircase or triangle"
+        raise ValueError(
+            f"motion {motion.name!r} is made for {motion.robot}, not for {known.name}; choose motion={general}"
+        )
+
+
+def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
+    """Record motion after motion; all are checked before the first one is played."""
+    motions = {name: library_motion(name, cfg.robot) for name, _ in plan}
+    for name, mount in plan:
+        check_made_for(motions[name], cfg.robot)
+        check_motion(motions[name], mount)
+    robots: dict[str, Any] = {}
+    say, total = Progress(), len(plan) * cfg.repeats
+    counts: dict[str, int] = {}
+    folders = []
+    for name, mount in plan:
+        if mount not in robots:
+            there = OmegaConf.merge(cfg, {"mount": mount})
+            robots[mount] = built(there.source)
+        for _ in range(cfg.repeats):
+            counts[name] = counts.get(name, -1) + 1
+            folders.append(record(cfg, robots[mount], motions[name], f"{name}-{counts[name]}"))
+            say("recording", len(folders) / total)
+    return folders
+
+
+def read_plan(path: Path) -> list[tuple[str, str]]:
+    """Motions with their mounts from a plan that `design_excitation.py` wrote, or by hand.
+
+    Raises:
+        ValueError: naming what is wrong, if it is no plan.
+    """
+    entries = read_yaml(path).get("plan")
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{path} is no plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
+    for number, entry in enumerate(entries):
+        if not isinstance(entry, dict) or set(entry) != {"motion", "mount"} or entry["mount"] not in MOUNTS[:2]:
+            raise ValueError(f"{path}, entry {number}: need a motion and a mount (floor or stand), got {entry!r}")
+    return [(entry["motion"], entry["mount"]) for entry in entries]
+
+
+def collect_episodes(cfg: DictConfig) -> list[Path]:
+    """Record episodes of a policy."""
+    robot = built(cfg.source)
+    if not hasattr(robot, "run_policy"):
+        raise ValueError("this source only plays motions; record a policy with source=emulated or source=real")
+    bundle, task = PolicyBundle.load(cfg.policy), cfg.get("task")
+    if HydraConfig.get().runtime.choices.source == "real" and cfg.card != "ignore":
+        check_card(cfg.policy, bundle)
+    if task is not None:
+        task = built(task)
+        task.check_policy(bundle.manifest, f"policy={cfg.policy}")
+    folders, say = [], Progress()
+    for number in range(cfg.repeats):
+        say("episodes", number / cfg.repeats)
+        name = f"{Path(cfg.policy).name}-{number}"
+        if recorded(robot, name):
+            folders.append(place(name))
+            continue
+        options = {"cycle": cfg.cycle, "task": task, "recording": name}
+        folders.append(save(robot.run_policy(bundle, cfg.duration, **options), name))
+    return folders
+
+
+def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
+    """Play a motion once and save the log, unless that has been done; return its folder."""
+    if recorded(robot, name):
+        return place(name)
+    gains = {name: _own(motion, name) if cfg[name] is None else cfg[name] for name in ("p_gain", "d_gain")}
+    for make in load_robot(motion.robot).servos:
+        # here the torque K d w of a period T turns the speed w of a bare rotor, of inertia J at the output, into -w
+        most = 2 * make.motor.armature.si / (make.output_constant * PERIOD)
+        if make.loop == "current" and gains["d_gain"] >= most:
+            given = gains["d_gain"]
+            raise ValueError(f"d_gain must be below {most:.2f} A s/rad, or the {make.name} shakes, got {given}")
+    return save(robot.play(motion, **gains, recording=name), name)
+
+
+def asked() -> dict[str, str]:
+    """The settings of this run."""
+    return by_name(HydraConfig.get().overrides.task)
+
+
+def place(name: str) -> Path:
+    """Where something of the run is kept."""
+    return output_folder() / name
+
+
+def recorded(robot: Any, name: str) -> bool:
+    """Whether a recording exists already; the robot then counts it."""
+    if not place(name).exists():
+        return False
+    print(f"{place(name)}: recorded before", flush=True)
+    robot.skip()
+    return True
+
+
+def save(rollout: Rollout, name: str) -> Path:
+    """Write a log into the run's folder and say how it ended; return its folder."""
+    known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
+    rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
+    remember(place(ASKED), asked())
+    folder = rollout.save(place(name))
+    extra = rollout.metadata.extra
+    ended = extra.get("ended_by")
+    outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "the robot stands"
+    if "afterwards" in extra:
+        outcome += f" at its end; on the way to the end pose: {extra['afterwards']}"
+    print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
+    return folder
+
+
+def _own(motion: Motion, name: str) -> Any:
+    """A gain of the motion as a robot plays it: one number, or [row, 1] for all joints."""
+    gain = np.asarray(getattr(motion, name))
+    return gain[:, None] if gain.ndim else float(gain)
+
+
+@contextmanager
+def exit_code() -> Iterator[None]:
+    """Let what stops a robot end the process with its exit code."""
+    try:
+        yield
+    except (Stop, Unplugged) as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(int(getattr(error, "code", ExitCode.PORT))) from None
+
+
+def main(cfg: DictConfig) -> Collected:
+    """Compose the robot and the motion, record, save."""
+    with exit_code():
+        return run(cfg)

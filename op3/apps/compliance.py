@@ -1,0 +1,83 @@
+"""Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls, heat.
+
+python experiments/compliance.py policy=<bundle>
+python experiments/compliance.py policy=[<bundle>,<trained with a fixed gain>]
+python experiments/compliance.py policy=<bundle> 'sizes={episodes: 8, push_episodes: 1}' grounds=[walk]
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from op3.apps.fields import check_given, plain
+from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.support import output_folder, provenance, reported
+from op3.compliance.compare import difference
+from op3.compliance.study import Sizes, Study, contestants
+from op3.envs.actors import find_actor
+from op3.report import RunFolder
+from op3.report.compliance import report_compliance
+from op3.sim import load_model
+
+INTERRUPTED = "Nothing is kept but what the folder holds."
+
+
+def compliance(
+    policy: str | Path | Sequence[str | Path],
+    *,
+    model: str | Path | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    overrides: Sequence[str] = (),
+) -> CommandResult:
+    """Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls and heat.
+
+    Args:
+        policy: folder of a bundle, or several; the first one is compared with the others.
+        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: that of the config.
+        seed: of the episodes.
+        folder: of the run; None: a temporary one.
+        overrides: of further settings of ``conf/compliance.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    given = overrides_of(policy=policy, model=model, seed=seed)
+    with configured("compliance", [*given, *overrides], folder) as cfg:
+        return main(cfg)
+
+
+def names(value: Any) -> list[str]:
+    """Policies: one or a list."""
+    given = [value] if isinstance(value, str) else value
+    if not (isinstance(given, list) and given and all(isinstance(name, str) and name for name in given)):
+        raise ValueError(f"policy must be a folder or several, got {value!r}")
+    return given
+
+
+def main(cfg: DictConfig) -> CommandResult:
+    """Measure all policies and report."""
+    torch.set_num_threads(1)
+    check_given(cfg, "policy", "folder of a bundle")
+    options = {"gain_scale": cfg.gain_scale, "num_threads": cfg.threads}
+    model, sizes = load_model(cfg.model), Sizes(**plain(cfg.sizes))
+    study = Study(model, plain(cfg.grounds), sizes, cfg.seed, **options)
+    asked = names(plain(cfg.policy))
+    asked += [cfg.baseline] if cfg.baseline is not None and cfg.baseline not in asked else []
+    if cfg.baseline is not None:
+        find_actor(cfg.baseline, study.task, field="baseline")
+    actors = contestants(asked, study.task, plain(cfg.fixed_gains), cfg.gain_scale)
+    standing = {Path(name).name: study.stand(name) for name in plain(cfg.standing)}
+    measured = [study.measure(actor, led=cfg.led) for actor in actors]
+    landings = study.stiff_landings() if any(actor.stiff for actor in actors[1:]) else None
+    differences = {
+        other.label: difference(measured[0], other, landings if actor.stiff else None)
+        for actor, other in zip(actors[1:], measured[1:], strict=True)
+    }
+    settings = {"policies": asked, "model": cfg.model, "sizes": plain(cfg.sizes), "gain_scale": cfg.gain_scale}
+    facts = {**provenance(cfg), **settings}
+    values = report_compliance(measured, differences, standing, RunFolder(output_folder(), facts))
+    return reported(CommandResult, values)

@@ -1,0 +1,92 @@
+"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: two minutes.
+
+python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [robot=leg|pendulum|op3|arm]
+
+The robot's physics is not the project's own, and its answer is sealed before the diagnosis begins and read after it has
+ended.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from threadpoolctl import threadpool_limits
+
+from op3.apps.diagnose import diagnose
+from op3.apps.job import CommandResult
+from op3.apps.progress import Progress
+from op3.apps.support import output_folder
+from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
+from op3.stand_in.bench import commit
+from op3.stand_in.settings import SETTINGS
+
+
+def record(case: Case, folder: Path) -> Path:
+    """Record the suite of the case's robot; returns the folder of the logs."""
+    runs, say = SETTINGS[case.robot].rich(case.seed), Progress()
+    for number, log in enumerate(record_case(case, runs), start=1):
+        log.save(folder / f"{number:02d}_{log.metadata.motion}", overwrite=True)
+        say("recording", number / len(runs))
+    return folder
+
+
+def where(joints: list[str], shared: bool) -> str:
+    """Joints in words."""
+    return "all joints" if shared else " and ".join(joints)
+
+
+def hidden(answer: Mapping[str, Any]) -> str:
+    """What a sealed answer says was hidden."""
+    texts = []
+    for effect in answer["effects"]:
+        kind = KINDS[effect["name"]]
+        size = f"{kind.parameter or kind.meaning} {kind.told(effect['size']):.3g}"
+        texts.append(f"{effect['name']} in {where(effect['joints'], effect['shared'])} ({size})")
+    return "; ".join(texts)
+
+
+def named(finding: Mapping[str, Any]) -> str:
+    """A finding in a line."""
+    size, (low, high) = finding["size"], finding["interval"]
+    return (
+        f"{finding['effect']} in {where(finding['joints'], finding['shared'])},"
+        f" probability {finding['probability']:.2f} ({finding['parameter']} {size:.3g}, 90 %: {low:.3g} to {high:.3g})"
+    )
+
+
+def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) -> str:
+    """The last lines: the name, the truth, the gap, what was made, and what to do next."""
+    gaps = [
+        f"{channel.split('/')[1]} {gap['before']:.3g} to {gap['after']:.3g} {gap['unit']}"
+        for channel, gap in content["gap"].items()
+    ]
+    findings = [named(finding) for finding in content["findings"]] or [f"nothing. {content['sentence']}"]
+    added = [finding["effect"] for finding in content["findings"]]
+    lines = {
+        "named": "\n          ".join(findings),
+        "hidden": hidden(answer),
+        "gap": "; ".join(gaps) + ", on held-out runs",
+        "model": f"{folder / 'model.yaml'}" + (f", with {', '.join(added)} added" if added else ""),
+        "page": str(folder / "index.html"),
+        "next": f"op3 view {folder}",
+    }
+    return "\n".join(f"{name:<10}{text}" for name, text in lines.items())
+
+
+def main(cfg: DictConfig) -> CommandResult:
+    """Draw, seal, record, diagnose, open."""
+    torch.set_num_threads(1)
+    threadpool_limits(1)
+    folder = output_folder()
+    case = draw_case(cfg.seed, "single", cfg.severity, cfg.effect, robot=cfg.robot)
+    sealed = commit([case], folder / "answers")
+    digest = hashlib.sha256(sealed.read_bytes()).hexdigest()
+    print(f"A robot with something hidden; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
+    data = record(case, folder / "data")
+    windows = [] if cfg.windows is None else [f"windows={cfg.windows}"]
+    found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb, folder=folder, overrides=windows)
+    text = ending(found.content, open_answers(folder / "answers")[case.name], folder)
+    return CommandResult(folder, text, files=())

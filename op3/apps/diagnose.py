@@ -1,0 +1,178 @@
+"""Name the effects that a model does not include, from logs of a stand or of a servo bench.
+
+python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
+python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the returned model
+python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can show
+python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
+python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would show
+python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from threadpoolctl import threadpool_limits
+
+from op3.apps.fields import check_given, plain, whole
+from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.progress import Progress
+from op3.apps.support import library_motion, output_folder, reported, run_folder
+from op3.diagnose import (
+    Diagnosis,
+    Settings,
+    Verdict,
+    aliasing,
+    diagnosed_mount,
+    on_other_mounts,
+    split_logs,
+    suited,
+    with_chain,
+)
+from op3.diagnose.window_gaps import gap_table
+from op3.identify.resolvers import chosen_model
+from op3.policy import PolicyBundle
+from op3.report.diagnosis import report_diagnosis
+from op3.robot import DEFAULT, leg_suite
+from op3.rollout import Rollout, read_logs
+from op3.servo import effect_class
+from op3.sim import model_for, save_model
+from op3.tasks.planned import planned_motions, planned_suite
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosed(CommandResult):
+    """What a diagnosis found.
+
+    Attributes:
+        verdict: the findings with sizes and probabilities, and the model with them; None with ``mode=aliasing``.
+        content: the same as plain data, as in ``verdict.yaml`` or ``aliasing.yaml``.
+    """
+
+    verdict: Verdict | None
+    content: dict[str, Any]
+
+
+def diagnose(
+    data: str | Path | Sequence[str | Path],
+    model: str | Path | None = None,
+    *,
+    robot: str | Path | None = None,
+    mode: str = "once",
+    without: Sequence[str] = (),
+    policy: str | Path | None = None,
+    task: str | None = None,
+    actual: str | Path | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    wandb: str = "disabled",
+    overrides: Sequence[str] = (),
+) -> Diagnosed:
+    """Name the effects that a model does not include, from logs.
+
+    Args:
+        data: logs of one robot on a stand, or of a servo on a bench: a folder, a pattern or a list of them.
+        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: the robot's own.
+        robot: that made the logs; None: what they say.
+        mode: ``once``, ``loop`` (again from the returned model) or ``aliasing`` (what these logs can show).
+        without: effects of the catalogue that are not considered.
+        policy: folder of a bundle whose return is predicted before and after.
+        task: that the policy attempts, a name in ``conf/task``.
+        actual: logs of the policy's episodes on the robot, for comparison.
+        episodes: of the policy under each model.
+        seed: of everything random.
+        folder: of the run; None: a temporary one.
+        wandb: ``offline``, ``online`` or ``disabled``.
+        overrides: of further settings of ``conf/diagnose.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    given = overrides_of(
+        data=data, model=model, robot=robot, mode=mode, without=list(without), policy=policy, task=task,
+        actual=actual, episodes=episodes, seed=seed, wandb=wandb,
+    )  # fmt: skip
+    with configured("diagnose", [*given, *overrides], folder) as cfg:
+        return main(cfg)
+
+
+def planned_logs(cfg: DictConfig) -> list[Rollout]:
+    """What the planned excitation would give, by the model."""
+    model = with_chain(chosen_model(cfg))
+    if cfg.planned == "leg_suite":
+        return planned_suite(model, leg_suite(cfg.seed))
+    names = [cfg.planned] if isinstance(cfg.planned, str) else plain(cfg.planned)
+    return planned_motions(model, [library_motion(name, cfg.robot or DEFAULT) for name in names])
+
+
+def attempts(cfg: DictConfig) -> tuple[PolicyBundle, list[Rollout]]:
+    """The policy whose return is predicted, once it is known to fit the task, and its episodes on the robot."""
+    policy = PolicyBundle.load(cfg.policy)
+    instantiate(cfg.task).check_policy(policy.manifest, f"policy={cfg.policy}")
+    actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
+    return policy, [episode for log in actual for episode in (log.episodes() if log.batched else [log])]
+
+
+def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: list[Rollout]) -> dict[str, Any]:
+    """What a policy would return before and after, and what it did where its episodes are given."""
+    from op3.envs.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
+
+    options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": Progress()}
+    return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
+
+
+def main(cfg: DictConfig) -> Diagnosed:
+    """Diagnose, and write verdict, model and page."""
+    torch.set_num_threads(1)
+    threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
+    began, folder = time.process_time(), output_folder()
+    if not cfg.planned:
+        check_given(cfg, "data", "a log or a folder of logs")
+    if cfg.mode not in ("once", "loop", "aliasing"):
+        raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
+    if cfg.planned and not OmegaConf.is_missing(cfg, "data"):
+        raise ValueError("planned= and data= exclude each other: the one is simulated, the other was recorded")
+    whole(cfg, "episodes", 1)
+    for name in cfg.without:
+        effect_class(name)
+    if cfg.planned and cfg.mode != "aliasing":
+        raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
+    attempted = None if cfg.policy is None else attempts(cfg)  # what is wrong with it is said before minutes of work
+    data: Any = None if cfg.planned else plain(cfg.data)
+    logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data, cfg.robot))
+    model = suited(model_for(logs[0].robot, cfg.model), logs)
+    split = split_logs(logs, seed=cfg.seed)
+    diagnosis = Diagnosis(
+        model,
+        split,
+        seed=cfg.seed,
+        without=tuple(cfg.without),
+        settings=Settings(windows=cfg.windows),
+        progress=Progress(),
+    )
+    if cfg.mode == "aliasing":
+        content = aliasing(diagnosis, planned=bool(cfg.planned))
+        (folder / "aliasing.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+        return Diagnosed(folder, content["sentence"], files=(folder / "aliasing.yaml",), verdict=None, content=content)
+    verdict = diagnosis.run(cfg.rounds if cfg.mode == "loop" else 1)
+    content = verdict.plain()
+    if others:
+        content["mount"] = logs[0].metadata.mount
+        content["other_mounts"] = on_other_mounts(verdict.base, verdict.model, others, cfg.seed)
+    save_model(verdict.model, folder / "model.yaml")
+    if attempted is not None:
+        content["downstream"] = returns(cfg, verdict, *attempted)
+    content["processor_seconds"] = round(time.process_time() - began, 1)
+    if verdict.windows is not None:
+        print(gap_table(verdict.windows))
+    values = report_diagnosis(verdict, split, content, run_folder(cfg, model="model.yaml"))
+    # last, so that a verdict means that all is there
+    (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+    return reported(Diagnosed, values, verdict=verdict, content=content)

@@ -1,0 +1,113 @@
+"""Serve an emulated robot on a serial port until Ctrl-C; the first line printed is the port.
+
+python experiments/emulate_robot.py [world=eta_060] [scene=floor] [faults.lost=0.0026] [record=frames.txt]
+python experiments/emulate_robot.py model=paper scene=floor
+python experiments/emulate_robot.py robot=path/to/my_robot.yaml model=own
+"""
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from types import FrameType
+
+from omegaconf import DictConfig
+
+from op3.apps.fields import positive, whole
+from op3.apps.job import one_sentence
+from op3.apps.support import seeded_faults
+from op3.deploy.emulated import physics_maker
+from op3.deploy.emulator import EmulatedRobot, PtyServer, Timing
+from op3.deploy.operator import told
+from op3.robot import load_robot
+
+WATCH_EVERY = 0.5
+"""Time between two looks at how far the emulation is behind [s]."""
+
+LARGEST_LAG = 0.03
+"""Lag that is worth a word [s]: by then the answers of a whole sync read have come too late."""
+
+
+def robot(cfg: DictConfig) -> EmulatedRobot:
+    """The robot, its bus and what goes wrong."""
+    chosen = {name: cfg[name] for name in ("world", "world_seed", "model", "seed")}
+    make, _ = physics_maker(cfg.robot, **chosen)
+    return EmulatedRobot(
+        make(cfg.scene, None if cfg.scene == "bench" else load_robot(cfg.robot).pose(cfg.pose)),
+        seed=cfg.seed,
+        faults=seeded_faults(cfg.faults),
+        timing=Timing(latency_timer=float(cfg.latency_timer)),
+        settings={"baud_rate": 4, "return_delay_time": int(cfg.return_delay_time)},
+        record=cfg.record,
+    )
+
+
+class Ending:
+    """Signals that end the serving, whenever they come; what has to be done then is done whole."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._server: PtyServer | None = None
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            # A shell starts what it puts into the background without Ctrl-C; `nohup` asks to outlive the terminal.
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._receive)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._asked = True
+        if self._server is not None:
+            self._server.stop()
+
+    @staticmethod
+    def over() -> None:
+        """From now on signals change nothing: Python gives them their deadly meaning back while it shuts down."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+
+    def ends(self, server: PtyServer) -> None:
+        """A server that the signals end; at once if there has been one."""
+        self._server = server
+        if self._asked:
+            server.stop()
+
+
+def watch(server: PtyServer, duration: float | None, say: Callable[[str], None]) -> None:
+    """Wait for the end; say once if the machine is too busy to answer in time."""
+    end, warned = None if duration is None else time.monotonic() + duration, False
+    while server.alive and (end is None or time.monotonic() < end):
+        server.wait(WATCH_EVERY if end is None else min(WATCH_EVERY, max(0.0, end - time.monotonic())))
+        if server.longest_lag > LARGEST_LAG and not warned:
+            warned = True
+            say(
+                f"{1e3 * server.longest_lag:.0f} ms behind the wall clock: this machine is too busy, and a program on"
+                " the port sees servos that answer late or not at all"
+            )
+
+
+def main(cfg: DictConfig) -> None:
+    """Build the robot and serve it."""
+    ending, say = Ending(), told(lambda text: print(text, flush=True))
+    with one_sentence():
+        whole(cfg, "baud", 1)
+        if cfg.duration is not None:
+            positive(cfg, "duration", "seconds")
+        emulated = robot(cfg)
+    failure = ""
+    with PtyServer(emulated, cfg.baud) as server:
+        say(f"port: {server.path}")
+        if load_robot(cfg.robot).file.board is not None:
+            say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
+        ending.ends(server)
+        try:
+            watch(server, cfg.duration, say)
+        except Exception as error:
+            failure = f"the emulated robot has stopped: {error}"
+    try:
+        emulated.close()
+    except OSError as error:
+        failure = failure or f"the recording of frames is not whole: {error}"
+    ending.over()
+    say(f"emulated {emulated.time:.1f} s; at most {1e3 * server.longest_lag:.0f} ms behind the wall clock")
+    if failure:
+        print(failure, file=sys.stderr)
+        raise SystemExit(1)

@@ -1,0 +1,282 @@
+"""Judge a policy, or a baseline, under R_eval on a simulated robot.
+
+python experiments/evaluate.py policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
+python experiments/evaluate.py policy=<bundle> task=balance_eval episodes=20 baseline=hold
+python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,balance_weight
+python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
+"""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from op3.apps.fields import plain, whole
+from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.progress import Progress
+from op3.apps.support import output_folder, provenance, reported, run_folder
+from op3.assets import here_or_shipped
+from op3.compliance.robustness import Variation, make_card
+from op3.envs import BatchedEnv
+from op3.envs.actors import Watched, find_actor
+from op3.envs.gait_validity import GaitValidity, judged_episodes
+from op3.envs.tracking import Obedience, measure_obedience
+from op3.intervals import mean_interval, wilson_interval
+from op3.policy.bundle import MANIFEST
+from op3.report.evaluation_page import report_evaluation
+from op3.report.video import film
+from op3.robot import load_robot
+from op3.rollout import Rollout
+from op3.sim import model_for
+from op3.tasks.behaviour import gains, gait_profile, mean_tilt
+from op3.tasks.evaluation import evaluation_return, succeeded
+from op3.tasks.task import Task
+
+FRAME_EVERY = 3
+"""Policy steps between two frames of the film."""
+
+
+INTERRUPTED = "Nothing is kept but what the folder holds."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluated(CommandResult):
+    """How a policy did in simulation.
+
+    Attributes:
+        logs: of the episodes.
+    """
+
+    logs: list[Rollout]
+
+
+def evaluate(
+    policy: str | Path,
+    task: str = "balance_eval",
+    model: str | Path | None = None,
+    *,
+    robot: str | Path | None = None,
+    episodes: int = 10,
+    baseline: str | Path | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    wandb: str = "disabled",
+    overrides: Sequence[str] = (),
+) -> Evaluated:
+    """Judge a policy, or a baseline, under R_eval on a simulated robot.
+
+    Args:
+        policy: folder of a bundle, or ``hold``, ``zero``, ``random``, ``stiff``.
+        task: a name in ``conf/task``.
+        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: that of the robot's file.
+        robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
+        episodes: number of them.
+        baseline: beside the policy on the same episodes.
+        seed: of the episodes.
+        folder: of the run; None: a temporary one.
+        wandb: ``offline``, ``online`` or ``disabled``.
+        overrides: of further settings of ``conf/evaluate.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    given = overrides_of(
+        policy=policy, task=task, model=model, robot=robot, episodes=episodes, baseline=baseline, seed=seed, wandb=wandb
+    )
+    with configured("evaluate", [*given, *overrides], folder) as cfg:
+        return main(cfg)
+
+
+class WithProgress(Watched):
+    """A policy that shows how far its episodes are.
+
+    Args:
+        policy: as of `Watched`.
+        env: its robots.
+        steps: of an episode, at most.
+    """
+
+    def __init__(self, policy: Any, env: BatchedEnv, steps: int):
+        super().__init__(policy, env)
+        self._say, self._steps = Progress(), steps
+
+    def act(self, observation: torch.Tensor) -> torch.Tensor:
+        """The policy's action."""
+        self._say("episodes", min(len(self.states) / self._steps, 1.0))
+        return super().act(observation)
+
+
+def play(
+    cfg: DictConfig, task: Task, name: str, field: str = "policy"
+) -> tuple[list[Rollout], Watched, BatchedEnv, GaitValidity]:
+    """The episodes of the seed, which begin the same for every policy; who acted where; and their validity."""
+    known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
+    actor = find_actor(name, task, **known)
+    options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
+    env = actor.environment(task, cfg.model or "own", cfg.episodes, cfg.seed, **options)
+    watched = WithProgress(actor.policy, env, task.steps)
+    logs, validity = judged_episodes(env, watched, recording=f"{task.name}-{cfg.seed}")
+    return logs, watched, env, validity
+
+
+def passed(logs: Sequence[Rollout], task: Task, prefix: str = "") -> dict[str, Any]:
+    """Shares of episodes that succeeded and that stayed upright, the first with Wilson's 95 % interval."""
+    successes = sum(succeeded(log, task) for log in logs)
+    return {
+        f"evaluation.{prefix}success": successes / len(logs),
+        f"evaluation.{prefix}success_interval": list(wilson_interval(successes, len(logs))),
+        f"evaluation.{prefix}upright": float(np.mean([not log.metadata.fallen for log in logs])),
+    }
+
+
+def card_folder(cfg: DictConfig) -> Path | None:
+    """Folder of the bundle that gets a card; None where none is asked for.
+
+    Raises:
+        ValueError: if the policy is no bundle, or nothing can be written there: known before minutes of episodes.
+    """
+    if not cfg.card:
+        return None
+    folder = here_or_shipped(cfg.policy)
+    if not (folder / MANIFEST).is_file():
+        raise ValueError(f"card=true writes into a policy bundle, and policy={cfg.policy} is none; give its folder")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"card=true: nothing can be written to {cfg.policy}; copy the bundle to a folder of your own")
+    return folder
+
+
+def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
+    """Measure what the card says, write it into the bundle, and print it."""
+    variations = {name: Variation(**values) for name, values in plain(cfg.variations).items()}
+    facts = provenance(cfg)
+    made = {name: facts[name] for name in ("command", "git_hash", "git_changes", "date", "seed") if name in facts}
+    card = make_card(
+        find_actor(cfg.policy, task),
+        str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_for(load_robot(task.robot), cfg.model),
+        task,
+        variations,
+        made,
+        robots=cfg.card_robots,
+        seed=cfg.seed,
+        num_threads=cfg.threads,
+    )
+    print(card.to_yaml())
+    print(card.save(folder))
+
+
+def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
+    """What a walk makes of its commands, as plain values."""
+    values = dataclasses.asdict(obeyed)
+    values["speeds"] = [list(row) for row in obeyed.speeds]
+    return values | {"errors": list(obeyed.errors)}
+
+
+def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
+    """Numbers of the baseline on the same episodes, and its returns."""
+    logs, *_ = play(cfg, task, cfg.baseline, "baseline")
+    others = [evaluation_return(log) for log in logs]
+    margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
+    numbers = {
+        "evaluation.baseline": str(cfg.baseline),
+        **passed(logs, task, "baseline_"),
+        "evaluation.baseline_return_mean": float(np.mean(others)),
+        "evaluation.baseline_returns": others,
+        "evaluation.margin": float(np.mean(margins)),
+    }
+    if len(margins) > 1:
+        numbers["evaluation.margin_interval"] = list(mean_interval(margins))
+    return numbers, others
+
+
+def main(cfg: DictConfig) -> Evaluated:
+    """Play the episodes, and write numbers, page, logs and film; a sweep maximises the mean return."""
+    torch.set_num_threads(1)
+    if OmegaConf.is_missing(cfg, "policy"):
+        raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
+    whole(cfg, "episodes", 1)
+    whole(cfg, "card_robots", 1)
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
+    folder, task = output_folder(), instantiate(cfg.task)
+    robot = load_robot(task.robot)
+    if len(robot.legs) == 2 and cfg.joint not in robot.controlled:
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(robot.controlled)}")
+    if cfg.baseline is not None:  # before minutes of episodes
+        find_actor(cfg.baseline, task, field="baseline")
+    bundle = card_folder(cfg)
+    logs, watched, env, validity = play(cfg, task, cfg.policy)
+    print(validity)
+    obeyed = None
+    if "velocity" in task.commands:
+        actor = find_actor(cfg.policy, task)
+        obeyed = measure_obedience(actor, cfg.model or "own", task, cfg.episodes, cfg.seed, num_threads=cfg.threads)
+        print(obeyed)
+        for asked, achieved, spread in obeyed.speeds:
+            print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
+    stiff = hasattr(watched, "commands")
+    returns = [evaluation_return(log) for log in logs]
+    numbers: dict[str, Any] = {
+        "evaluation.task": task.name,
+        "evaluation.model": str(cfg.model or robot.file.law or "own"),
+        "evaluation.policy": str(cfg.policy),
+        "evaluation.episodes": len(logs),
+        **passed(logs, task),
+        "evaluation.return_mean": float(np.mean(returns)),
+        "evaluation.return_std": float(np.std(returns)),
+        "evaluation.duration": float(np.mean([log.metadata.episode_duration for log in logs])),  # type: ignore
+        "evaluation.tilt": float(np.mean([mean_tilt(log) for log in logs])),
+    }
+    numbers |= {f"evaluation.validity.{name}": value for name, value in dataclasses.asdict(validity).items()}
+    if obeyed is not None:
+        numbers |= {f"evaluation.commands.{name}": value for name, value in plain_obedience(obeyed).items()}
+    takes_gains = not stiff and env.action_map.gain_low is not None
+    each = [] if not takes_gains else [gains(log, task) for log in logs]
+    for name in each[0] if each else ():
+        numbers[f"evaluation.{name}"] = float(np.mean([values[name] for values in each if name in values]))
+    if task.cycle is not None:
+        speeds = [log.metadata.travelled_distance / log.metadata.episode_duration for log in logs]  # type: ignore[operator]
+        numbers["evaluation.speed"] = float(np.mean(speeds))
+    label = Path(cfg.policy).name
+    shown = {label: returns}
+    if len(returns) > 1:
+        numbers["evaluation.return_interval"] = list(mean_interval(returns))
+    if cfg.baseline is not None:
+        more, others = beside(cfg, task, returns)
+        numbers |= more
+        shown[f"{cfg.baseline} (baseline)"] = others
+    numbers["evaluation.returns"] = returns
+    files = {}
+    if cfg.logs:
+        for number, log in enumerate(logs):
+            log.save(folder / "logs" / f"{number:03d}")
+        files["logs/000/metadata.yaml"] = f"{len(logs)} episodes as rollouts, in logs/"
+    if cfg.video:
+        steps = round(logs[0].metadata.episode_duration / env.policy_period)  # type: ignore[operator]
+        states = np.stack(watched.states[:steps:FRAME_EVERY])
+        rate = 1 / (FRAME_EVERY * env.policy_period)
+        if film(env.scene, states, folder / "episode.mp4", rate, follow=task.cycle is not None):
+            files["episode.mp4"] = "a film of the first episode"
+    if bundle is not None:
+        write_card(cfg, task, bundle)
+    # a gait's profile is of gains and of a left and a right leg
+    long_enough = [log for log in logs if log.duration > 1.5 and takes_gains and len(robot.legs) == 2]
+    values = report_evaluation(
+        logs,
+        run_folder(cfg, **({"log": "logs"} if cfg.logs else {})),
+        label=label,
+        task=task.name,
+        numbers=numbers,
+        returns=shown,
+        profile=gait_profile(long_enough, task, cfg.joint) if task.cycle is not None and long_enough else None,
+        joint=cfg.joint,
+        files=files,
+    )
+    return reported(Evaluated, values, "evaluation.return_mean", logs=logs)

@@ -1,0 +1,174 @@
+"""What fields of the configs must be, checked before the libraries of a command are imported."""
+
+import dataclasses
+import glob
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from pydantic import Field
+
+from op3.assets import find_model, robot_file
+from op3.command_help import config_file
+from op3.settings import (
+    GAIN_HIGH,
+    Count,
+    Gain,
+    Listed,
+    Named,
+    NotNegative,
+    Positive,
+    Some,
+    Text,
+    Whole,
+    read_yaml,
+    settings,
+    shown,
+)
+
+
+@settings()
+class Common:
+    """What fields must be that mean the same in every command which has them."""
+
+    seed: Whole = 0
+    world_seed: Whole = 0
+    threads: Whole = 0
+    processes: Whole = 0
+    number: Whole = 0
+    rounds: Whole = 0
+    repeats: Count = 1
+    environments: Count = 1
+    finalists: Count = 1
+    windows: Count | None = None
+    model: Text | None = None
+    robot: Text | None = None
+    plan: Text | None = None
+    resume: Text | None = None
+    runs: Text = ""
+    joint: Text | None = None
+    out: Text | None = None
+    joints: Some[str] | None = None
+    ablate: Listed[str] = ()
+    per_joint: Listed[str] = ()
+    without: Listed[str] = ()
+    wanted: Listed[str] | None = None
+    motions: Some[str] | None = None
+    mounts: Some[Literal["floor", "stand"]] | None = None
+    grounds: Some[str] | None = None
+    fixed_gains: Listed[Gain] = ()
+    where: Named[Any] | None = None
+    weights: Named[Any] | None = None
+    heldout_where: Named[Any] | None = None
+    overhead: NotNegative = 1.0
+    mount_change: NotNegative = 1.0
+    cycle: Positive | None = None
+    duration: Positive | None = None
+    speed: Positive = 1.0
+    span: Positive = 1.0
+    initial_gain: Gain = 1.0
+    fixed_gain: Gain | None = None
+    hold_gain: Gain = 1.0
+    p_gain: Annotated[NotNegative, Field(le=GAIN_HIGH)] | None = None
+    d_gain: NotNegative | None = None
+    gain_scale: Positive = 1.0
+    bench_timestep: Positive = 1.0
+    latency_timer: Positive = 1.0
+    wandb: Literal["offline", "online", "disabled"] = "offline"
+
+    @classmethod
+    def of(cls, cfg: DictConfig) -> "Common":
+        """Those that a config has and that are given."""
+        names = [field.name for field in dataclasses.fields(cls) if field.name in cfg]
+        return cls(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
+
+
+KINDS = {
+    dict: (Mapping, "a mapping of its fields"),
+    str: (str | None, "a text"),
+    bool: (bool, "true or false"),
+    int: (int | float, "a number"),
+    float: (int | float, "a number"),
+}
+"""What a setting must be whose default in the config is of this kind, and that in words."""
+
+LOGS = ("data", "heldout", "episodes", "actual", "log", "diagnosis")
+"""Fields that name logs where they hold a text."""
+
+REQUIRED = {
+    "data": "a log, a folder of logs, or a list of them",
+    "policy": "the folder of a policy bundle",
+    "episodes": "a folder of logs of the policy's episodes",
+    "model": "a model.yaml or a name in conf/servo",
+    "runs": "the folder of a multirun of op3 identify",
+    "what": "a log, a policy bundle, a model.yaml, a robot file or the run of a diagnosis",
+}
+"""What the fields hold that a command cannot do without."""
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse fields of a wrong kind or out of range, missing ones, and names of nothing.
+
+    Raises:
+        ValueError: in one sentence, naming the field and what it must be.
+        FileNotFoundError: if the model is neither a file nor a name.
+    """
+    Common.of(cfg)
+    for name, default in read_yaml(config_file(HydraConfig.get().job.config_name or "")).items():
+        kind, wanted = KINDS.get(type(default), (object, ""))
+        open_ended = isinstance(default, str) and re.match(r"\$\{|\?\?\?", default)
+        if name in cfg and not open_ended and not isinstance(cfg[name], kind):
+            raise ValueError(f"{name} must be {wanted}, got {shown(plain(cfg[name]))}")
+    for name, what in REQUIRED.items():
+        if name in cfg and OmegaConf.is_missing(cfg, name) and not (name == "data" and cfg.get("planned")):
+            raise ValueError(f"{name} is missing: add {name}=<{what}>")
+    for name in LOGS:
+        value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
+        if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
+            raise ValueError(f"{name}={value}: there is no such file or folder")
+    if cfg.get("robot"):
+        robot_file(cfg.robot)
+    model = None if OmegaConf.is_missing(cfg, "model") else cfg.get("model")
+    if isinstance(model, str) and model != "own":
+        find_model(model)
+
+
+def plain(node: Any) -> Any:
+    """A config node as Python's own data."""
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+def positive(cfg: DictConfig, name: str, unit: str) -> float:
+    """The number in a config's field.
+
+    Raises:
+        ValueError: unless it is above 0 and finite.
+    """
+    value = cfg[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"{name} must be a number of {unit} above 0, got {value!r}")
+    return float(value)
+
+
+def whole(cfg: DictConfig, name: str, least: int) -> int:
+    """The whole number in a config's field, which may be a dotted one.
+
+    Raises:
+        ValueError: unless it is a whole number of at least `least`.
+    """
+    value = OmegaConf.select(cfg, name)
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return value
+
+
+def check_given(cfg: DictConfig, name: str, what: str) -> None:
+    """Refuse a config whose field `name` is still `???`, or neither a text nor a list."""
+    if OmegaConf.is_missing(cfg, name):
+        raise ValueError(f"{name} is missing: add {name}=<{what}>")
+    if not isinstance(plain(cfg[name]), str | list):
+        raise ValueError(f"{name} must be {what}, got {shown(plain(cfg[name]))}")

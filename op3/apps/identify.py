@@ -1,0 +1,200 @@
+"""Identify a robot's or a servo's parameters from logs.
+
+python experiments/identify.py data=<log> [heldout=<log>] [groups=[motor,gear,friction,body]] [method=tpe]
+python experiments/identify.py -m data=<log> seed=0,1,2 hydra.sweeper.n_trials=2000
+python experiments/identify.py experiment=servo_bench data=<folder of bench logs>
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import optuna
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from op3.apps.fields import check_given, plain
+from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.support import focus_joints, logs_where, output_folder, reported, run_folder
+from op3.identify.identification import PREFIX, Fit, Identification, Refine
+from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
+from op3.identify.resolvers import chosen_model
+from op3.identify.settings import read_settings, search_space_of
+from op3.identify.sweeper import sweep_or_report
+from op3.report.identification_page import report_identification
+from op3.rollout import Rollout, read_logs
+from op3.servo import RobotModel, effect_class
+from op3.servo.conditions import split_name
+from op3.sim import save_model
+
+INTERRUPTED = goes_on("trials")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified(CommandResult):
+    """A model whose parameters were identified.
+
+    Attributes:
+        model: with values and 90 % intervals; in the folder as ``model.yaml``.
+    """
+
+    model: RobotModel
+
+
+def identify(
+    data: str | Path | Sequence[str | Path],
+    *,
+    heldout: str | Path | Sequence[str | Path] | None = None,
+    model: str | Path | None = None,
+    robot: str | Path | None = None,
+    groups: Sequence[str] | None = None,
+    effects: Sequence[str] = (),
+    method: str | None = None,
+    ablate: Sequence[str] | None = None,
+    trials: int | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    wandb: str = "disabled",
+    overrides: Sequence[str] = (),
+) -> Identified:
+    """Identify a model's parameters from logs.
+
+    Args:
+        data: logs to fit: a path, a folder, a pattern or a list of them.
+        heldout: logs to test on, never used for fitting.
+        model: path of a ``model.yaml`` or a name in ``conf/servo`` to start from; None: the robot's own.
+        robot: that made the logs; None: what they say.
+        groups: of parameters to search; None: ``motor, gear, friction, body``.
+        effects: of the catalogue, switched on in addition.
+        method: a name in ``conf/method``: ``tpe``, ``lsq``, ``cmaes``; None: ``tpe``.
+        ablate: effects to switch off for comparison; None: ``dte``.
+        trials: of the study; None: those of the method.
+        seed: of everything random.
+        folder: of the run, which goes on where it was interrupted; None: a temporary one.
+        wandb: ``offline``, ``online`` or ``disabled``.
+        overrides: of further settings of ``conf/identify.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    values = {"heldout": heldout, "model": model, "robot": robot, "groups": groups, "effect": list(effects) or None}
+    values |= {"hydra.sweeper.n_trials": trials, "ablate": ablate, "method": method, "seed": seed, "wandb": wandb}
+    given = overrides_of(data=data, **values)
+    with configured("identify", [*given, *overrides], folder) as cfg:
+        return main(cfg)
+
+
+def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
+    """Logs to fit and logs held out, by files or by a metadata field."""
+    logs = read_logs(plain(cfg.data), cfg.robot)
+    heldout = [] if cfg.heldout is None else read_logs(plain(cfg.heldout), cfg.robot)
+    # overrides of a mapping join it: a field of the experiment's that is not wanted is set to null
+    where = {key: value for key, value in (plain(cfg.heldout_where) or {}).items() if value is not None}
+    chosen = logs_where(logs, where, "heldout_where") if where else []
+    fitted = [log for log in logs if not any(log is held for held in chosen)]
+    if not fitted:
+        raise ValueError(f"heldout_where={where} matches all {len(logs)} logs; nothing is left to fit")
+    return fitted, [*heldout, *chosen]
+
+
+def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
+    """The identification that the config describes, for this model."""
+    fit_logs, heldout_logs = split_logs(cfg)
+    # a parameter whose range is null is not searched, nor is one of an effect that was switched off for comparison
+    space, lost = search_space_of(plain(HydraConfig.get().sweeper)), gone(cfg, model)
+    names = [key.removeprefix(PREFIX) for key in space]
+    names = [name for name in names if split_name(name)[0] not in lost]
+    joints = focus_joints(plain(cfg.joints), fit_logs)
+    weights = UNIT_WEIGHTS if cfg.weights is None else {tuple(k.split("/")): v for k, v in cfg.weights.items()}
+    loss = TrajectoryLoss(joints, weights, cfg.robust_scale, cfg.skip)
+    return Identification(
+        model, fit_logs, heldout_logs, names, joints=joints, loss=loss, label=label, bench_timestep=cfg.bench_timestep
+    )
+
+
+def base_model(cfg: DictConfig) -> RobotModel:
+    """The model that the config starts from: a model file, and the effects switched on beside it."""
+    model = chosen_model(cfg)
+    for name, options in plain(cfg.effects).items():
+        if name not in model.effect_names:
+            model = model.with_effect(effect_class(name)(**(options or {})))
+        elif options:
+            model = model.with_effect(dataclasses.replace(model.effect(name), **options))  # type: ignore[type-var]
+    return model
+
+
+def gone(cfg: DictConfig, model: RobotModel) -> set[str]:
+    """Parameters of the effects of `ablate` that this model does not have any more."""
+    return set(base_model(cfg).parameters()) - set(model.parameters())
+
+
+def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
+    """The same identification with the effects of `ablate` switched off."""
+    model = base_model(cfg)
+    effects = [name for name in cfg.ablate if name in model.effect_names]
+    if not effects:
+        return None
+    name = "_".join(effects)
+    identification = build(cfg, model.without(*effects), f"without {', '.join(effects).upper()}")
+    settings = read_settings(cfg, HydraConfig.get().sweeper, folder)
+    keys = [PREFIX + parameter for parameter in identification.names]
+    settings = dataclasses.replace(
+        settings,
+        search_space={key: settings.search_space[key] for key in keys},
+        nominal=None if settings.nominal is None else {key: settings.nominal[key] for key in keys},
+        storage=str(folder / f"study_without_{name}.journal"),
+        study_name=f"without_{name}",
+    )
+    study = settings.run(identification.evaluate, identity=identification.identity)
+    return identification.finish(study, **cfg.refine)
+
+
+def duration(started: datetime, study: optuna.Study) -> float:
+    """Wall time so far [s]: of this process, and of the study where the sweeper ran it in jobs before this one."""
+    seconds = (datetime.now() - started).total_seconds()
+    begun = [t.datetime_start for t in study.trials if t.datetime_start]
+    ended = [t.datetime_complete for t in study.trials if t.datetime_complete]
+    if begun and ended and min(begun) < started:
+        seconds += (max(ended) - min(begun)).total_seconds()
+    return seconds
+
+
+def main(cfg: DictConfig) -> Any:
+    """Evaluate a population for the sweeper, or run the study and report it."""
+    torch.set_num_threads(1)
+    started = datetime.now()
+    check_given(cfg, "data", "a log, a folder of logs, or a list of them")
+    for name in cfg.ablate:
+        effect_class(name)
+    model = base_model(cfg)
+    folder = output_folder()
+    if cfg.population is None:  # before anything is simulated
+        Refine(**plain(cfg.refine))
+        read_settings(cfg, HydraConfig.get().sweeper, folder)
+    identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")
+    if cfg.population is None:
+        identification.check()
+
+    def report(study: optuna.Study) -> Identified:
+        fit = identification.finish(study, **cfg.refine)
+        wall_seconds, compared = duration(started, study), datetime.now()
+        ablated = without_effects(cfg, folder)
+        save_model(fit.model, folder / "model.yaml")
+        if ablated is not None:
+            label = ablated.label.lower().replace(", ", "_").replace(" ", "_")
+            save_model(ablated.model, folder / f"model_{label}.yaml")
+        values = report_identification(
+            fit,
+            ablated,
+            run_folder(cfg, model="model.yaml"),
+            wall_seconds=wall_seconds,
+            ablated_seconds=(datetime.now() - compared).total_seconds(),
+            joints=identification.joints,
+        )
+        return reported(Identified, values, model=fit.model)
+
+    return sweep_or_report(cfg, identification.evaluate, report, identity=identification.identity)

@@ -1,0 +1,85 @@
+"""Measure how well a model predicts logs that it has not seen, with 90 % intervals.
+
+python experiments/predict.py model=<model.yaml or name> data=<logs> [where='{firmware_gain: 8}']
+python experiments/predict.py -m model=outputs/identify/<run>,paper data=<logs>
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from op3.apps.fields import check_given, plain
+from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.support import focus_joints, logs_where, reported, run_folder
+from op3.identify.prediction_score import PredictionScore, predict_logs
+from op3.report.prediction_page import report_prediction
+from op3.rollout import read_logs
+from op3.sim import find_model, model_for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Predicted(CommandResult):
+    """How well a model predicts.
+
+    Attributes:
+        score: errors with intervals: of all logs, by channel, joint and motion.
+    """
+
+    score: PredictionScore
+
+
+def predict(
+    data: str | Path | Sequence[str | Path],
+    model: str | Path | None = None,
+    *,
+    robot: str | Path | None = None,
+    where: Mapping[str, Any] | None = None,
+    joints: Sequence[str] | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    wandb: str = "disabled",
+) -> Predicted:
+    """Simulate the commands of logs on a model and compare with what was measured.
+
+    Args:
+        data: a log, a folder or pattern of logs, or a list of them.
+        model: path of a ``model.yaml``, or a name in ``conf/servo``; None: the robot's own.
+        robot: that made the logs; None: what they say.
+        where: takes only logs with these metadata.
+        joints: whose traces are shown; None: those that the robot's file calls controlled.
+        seed: of the bootstrap.
+        folder: for page and numbers; None: a temporary one.
+        wandb: ``offline``, ``online`` or ``disabled``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    given = overrides_of(data=data, model=model, robot=robot, where=where, joints=joints, seed=seed, wandb=wandb)
+    with configured("predict", given, folder) as cfg:
+        return main(cfg)
+
+
+def main(cfg: DictConfig) -> Predicted:
+    """Predict, measure, report."""
+    torch.set_num_threads(1)
+    started = time.monotonic()
+    check_given(cfg, "data", "a log, a folder of logs, or a list of them")
+    logs = logs_where(read_logs(plain(cfg.data), cfg.robot), plain(cfg.where), "where")
+    joints = focus_joints(plain(cfg.joints), logs)
+    score = predict_logs(
+        model_for(logs[0].robot, cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
+    )
+    path = Path(f"{logs[0].robot.name}'s data sheets") if cfg.model is None else find_model(cfg.model)
+    values = report_prediction(
+        score,
+        run_folder(cfg),
+        model=path.parent.name if path.name == "model.yaml" else path.stem,
+        wall_seconds=time.monotonic() - started,
+        joints=joints,
+    )
+    return reported(Predicted, values, score=score)

@@ -1,0 +1,164 @@
+"""Re-identify a robot from a failed transfer by matching the returns of its episodes.
+
+python experiments/reidentify.py policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
+python experiments/reidentify.py ... diagnose=true diagnosis=<folder of logs from the stand>
+python experiments/reidentify.py -m policy=... model=... data=... episodes=... seed=0,1,2
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import optuna
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from op3.apps.diagnose import diagnose
+from op3.apps.fields import plain
+from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.stages import Stages
+from op3.apps.support import output_folder, reported, run_folder
+from op3.identify.episodes import ended_by, that_count
+from op3.identify.identification import PREFIX
+from op3.identify.reidentification import Reidentification
+from op3.identify.search_space import parse_search_space
+from op3.identify.sweeper import sweep_or_report
+from op3.policy import PolicyBundle
+from op3.report.reidentification_page import report_reidentification
+from op3.rollout import read_logs
+from op3.sim import load_model, save_model
+
+INTERRUPTED = goes_on("trials")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReidentifiedModel(CommandResult):
+    """A model that was re-identified from a failed transfer.
+
+    Attributes:
+        model: its file.
+    """
+
+    model: Path
+
+
+def reidentify(
+    policy: str | Path,
+    model: str | Path,
+    data: str | Path | Sequence[str | Path],
+    episodes: str | Path | Sequence[str | Path],
+    *,
+    task: str | None = None,
+    groups: Sequence[str] | None = None,
+    diagnosed: bool = False,
+    start_name: str | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    wandb: str = "disabled",
+    overrides: Sequence[str] = (),
+) -> ReidentifiedModel:
+    """Re-identify a robot from a policy's failed transfer: match the returns of its episodes.
+
+    Args:
+        policy: folder of the bundle that was played.
+        model: ``model.yaml`` that it was trained on.
+        data: log of the excitation that the model was identified from.
+        episodes: logs of the policy's episodes on the robot.
+        task: that the policy attempted, a name in ``conf/task``.
+        groups: of parameters to search; None: those of the config.
+        diagnosed: whether the robot is diagnosed first.
+        start_name: what the page calls the model that is started from.
+        seed: of everything random.
+        folder: of the run, which goes on where it was interrupted; None: a temporary one.
+        wandb: ``offline``, ``online`` or ``disabled``.
+        overrides: of further settings of ``conf/reidentify.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    given = overrides_of(
+        policy=policy, model=model, data=data, episodes=episodes, task=task, groups=groups,
+        diagnose=diagnosed or None, start_name=start_name, seed=seed, wandb=wandb,
+    )  # fmt: skip
+    with configured("reidentify", [*given, *overrides], folder) as cfg:
+        return main(cfg)
+
+
+def build(cfg: DictConfig) -> Reidentification:
+    """The re-identification that the config describes."""
+    space = parse_search_space(plain(HydraConfig.get().sweeper.params))
+    model = load_model(cfg.model)
+    known = model.parameters()
+    names = [name for name in cfg.parameters if PREFIX + name in space]
+    absent = [name for name in names if name not in known]
+    if absent:
+        raise ValueError(f"groups: {absent[0]!r} is no parameter of {cfg.model}; leave its group out")
+    episodes, others = that_count(read_logs(plain(cfg.episodes)))
+    if others:
+        print(f"{len(others)} episodes do not count: they ended by {ended_by(others)}, not by a fall", flush=True)
+    if not episodes:
+        raise ValueError(
+            f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, as no simulation of the policy does;"
+            " diagnose the robot, fix the cause, and record others"
+        )
+    return Reidentification(
+        model,
+        read_logs(plain(cfg.data)),
+        episodes,
+        PolicyBundle.load(cfg.policy),
+        names,
+        task=None if cfg.get("task") is None else instantiate(cfg.task),
+        repeats=cfg.repeats,
+        race=cfg.race,
+        seed=cfg.seed,
+        # a launcher's jobs are side by side already
+        processes=cfg.processes if cfg.population is None else 1,
+    )
+
+
+def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
+    """The model file with what a diagnosis finds missing, made once in the run's folder.
+
+    Raises:
+        ValueError: with -m, where jobs of their own would each diagnose.
+    """
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise ValueError(
+            "diagnose=true is for a single run: run diagnose.py once, and give its model.yaml as model= to all of these"
+        )
+    logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
+    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb)
+    return str(made / "model.yaml")
+
+
+def main(cfg: DictConfig) -> Any:
+    """Evaluate a population for the sweeper, or run the study and report it."""
+    torch.set_num_threads(1)
+    started, folder = time.monotonic(), output_folder()
+    if cfg.diagnose:
+        cfg.model = diagnosed_model(cfg, folder)
+    problem = build(cfg)
+
+    def report(study: optuna.Study) -> ReidentifiedModel:
+        found = replace(problem.finish(study, cfg.finalists), start_name=cfg.start_name)
+        save_model(found.model, folder / "model.yaml")
+        values = report_reidentification(
+            found,
+            study,
+            run_folder(cfg, model="model.yaml"),
+            wall_seconds=time.monotonic() - started,
+            simulated_seconds=problem.simulated_seconds,
+        )
+        return reported(ReidentifiedModel, values, model=folder / "model.yaml")
+
+    def propose(count: int) -> list[dict[str, float]]:
+        space = parse_search_space(plain(HydraConfig.get().sweeper.params))
+        bounds = {name: (space[PREFIX + name].low, space[PREFIX + name].high) for name in problem.names}
+        return problem.propose(count, bounds, seed=cfg.seed)
+
+    return sweep_or_report(cfg, problem.evaluate, report, propose, {"objectives": problem.identity})

@@ -1,0 +1,82 @@
+"""Errors of Hydra, of the system and of op3 as one sentence, with the nearest setting or name where one is misspelt."""
+
+import difflib
+import re
+import sys
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from op3.command_help import config_file, files, names_in, settings_of
+from op3.settings import nearest
+
+
+def explained(error: Exception, config: str) -> str:
+    """What Hydra or the system complains of as one sentence, with the nearest setting or name where one is misspelt."""
+    text = " ".join(str(error).split())
+    if asked := getattr(error, "missing_cfg_file", None):
+        group, _, name = str(asked).rpartition("/")
+        return no_such(group, name) if group else f"there is no config {name!r}"
+    if found := re.match(r"Ambiguous value for argument '([^=]+)=([^']*)'", text):
+        name, values = found.groups()
+        return f"{name} has several values: add -m to run one after another, or write {name}=[{values}] for a list"
+    if "Config group override must be" in text:
+        named = [word.partition("=") for word in sys.argv[1:]]
+        return next((no_such(group, name) for group, _, name in named if (files() / "conf" / group).is_dir()), text)
+    if found := re.search(r"Could not override '([^']+)'", text):
+        asked, known = found[1].lstrip("+"), known_settings(config)
+        if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
+            part = asked.rpartition(".")[2]
+            if unknown[1] == part:
+                return f"{asked} is a setting of another choice: what is chosen here has no {part!r}"
+            asked = f"{asked}.{unknown[1]}"
+        group, _, part = asked.rpartition(".")
+        if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
+            return f"{group} has no entry {part!r} yet: add it with +{asked}=..."
+        if parts := [name.removeprefix(f"{group}.") for name in known if group and name.startswith(f"{group}.")]:
+            return f"{group} has no part {part!r}{nearest(part, parts)}"
+        close = difflib.get_close_matches(asked, known, n=1)
+        return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
+    if text.startswith("Error merging override") and error.__cause__:
+        return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
+    if asked := getattr(error, "override", None):
+        return f"{asked}: cannot be read; write setting=value, in quotes where it has blanks"
+    return as_sentence(error)
+
+
+def no_such(group: str, name: str) -> str:
+    """That a group has no such name, with the nearest one that it has."""
+    return f"{group}={name}: there is no {name!r} in the group {group}{nearest(name, names_in(group))}"
+
+
+def as_sentence(error: BaseException) -> str:
+    """An error as one sentence: the system's by what it is about, others in their own words."""
+    if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
+        return "there is not enough memory for so much at once; ask for fewer robots, episodes or trials"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another place"
+    if isinstance(error, OmegaConfBaseException):  # where in the config it was stands in lines below
+        return re.sub(r"^\w+ raised while resolving interpolation: ", "", str(error).splitlines()[0])
+    return " ".join(str(error).split())
+
+
+def known_settings(config: str) -> list[str]:
+    """Dotted names of all settings and the groups of a config as it is without overrides."""
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
+        cfg = compose(config, return_hydra_config=True)
+    names: list[str] = []
+
+    def walk(node: DictConfig, prefix: str) -> None:
+        for key in (key for key in node if not str(key).startswith("_")):
+            names.append(f"{prefix}{key}")
+            value = node._get_node(key)
+            if isinstance(value, DictConfig) and not value._is_none() and not value._is_missing():
+                walk(value, f"{prefix}{key}.")
+
+    walk(cfg, "")
+    names = [name for name in names if not name.startswith("hydra") or name.startswith("hydra.sweeper.")]
+    groups = [choice.partition("=")[0] for choice in settings_of(config)]
+    return list(dict.fromkeys([*names, *groups]))

@@ -1,0 +1,188 @@
+"""Commands one after another, each once: what longer ones are made of."""
+
+import fcntl
+import hashlib
+import io
+import json
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import Any, TextIO
+
+import yaml
+
+from op3.apps.collect import collect
+from op3.apps.job import CommandResult
+from op3.apps.progress import LINE_SECONDS
+from op3.apps.support import check_same, remember
+from op3.rollout.files import write_text
+
+DONE = "done"
+"""File in a stage's folder that says that it is finished, and what it took."""
+
+ASKED = "stage.yaml"
+"""File in a stage's folder with the command and its arguments."""
+
+OUTPUT = "stage.log"
+"""File in a stage's folder with what its command printed."""
+
+CHECKPOINT = "checkpoint.pt"
+"""File of a training that can go on."""
+
+
+def used_seconds() -> float:
+    """Processor time of this process and of all that it has started and waited for [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + used.ru_utime + used.ru_stime
+
+
+class StageOutput(io.TextIOBase):
+    """Standard output of a stage: goes to a file; a line that ends with the time left is shown now and then.
+
+    Args:
+        name: of the stage.
+        file: that takes it.
+    """
+
+    def __init__(self, name: str, file: TextIO):
+        self._name, self._file, self._line, self._shown = name, file, "", time.monotonic()
+
+    def write(self, text: str) -> int:
+        """Take text."""
+        self._file.write(text)
+        *lines, self._line = (self._line + text).split("\n")
+        now = time.monotonic()
+        if lines and lines[-1].endswith(" left") and now - self._shown > LINE_SECONDS:
+            print(f"{self._name}: {' '.join(lines[-1].split())}", file=sys.stderr, flush=True)
+            self._shown = now
+        return len(text)
+
+    def flush(self) -> None:
+        """Bring it to the disk."""
+        self._file.flush()
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keep other processes out as long as this one works, those of other machines on the same disk too."""
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _is_work(path: Path) -> bool:
+    """Whether a file or folder of a stage is more than what every start leaves."""
+    return path.name not in (ASKED, ".hydra") and path.suffix != ".log"
+
+
+class Stages:
+    """Runs commands one after another, each once.
+
+    Args:
+        folder: of the whole run; each stage gets a folder in it.
+        shared: folder in which stages are kept by their arguments, so that runs have them in common: whichever comes
+            first does the work, and the folder of each run links to it. None: every run does all of its own.
+    """
+
+    def __init__(self, folder: Path, shared: Path | None = None):
+        self.folder = folder
+        self.shared = shared
+        self.seconds: dict[str, float] = {}
+        """Duration of each stage [s]."""
+        self.processor_seconds: dict[str, float] = {}
+        """Time that processors spent on each stage, all of them together [s]."""
+
+    def run(self, name: str, command: Callable[..., CommandResult], **arguments: Any) -> Path:
+        """Call one command, unless that has been done before; returns its folder.
+
+        A training that was interrupted goes on from its checkpoint, as other commands go on by themselves.
+
+        Args:
+            name: of the stage.
+            command: takes `folder` and the other arguments.
+            arguments: of the command.
+
+        Raises:
+            ValueError: if it fails, or was begun with other arguments.
+        """
+        arguments = {key: self._real(value) for key, value in arguments.items() if value is not None}
+        asked = {"command": command.__name__, **{key: _as_data(value) for key, value in arguments.items()}}
+        if self.shared is None:
+            return self._run(name, self.folder / name, command, arguments, asked)
+        place = self._common(name, asked)
+        with _alone(place.with_suffix(".lock")):
+            self._run(name, place, command, arguments, asked)
+        return self.folder / name
+
+    def _run(
+        self,
+        name: str,
+        place: Path,
+        command: Callable[..., CommandResult],
+        arguments: Mapping[str, Any],
+        asked: Mapping[str, Any],
+    ) -> Path:
+        mark = place / DONE
+        check_same(place / ASKED, asked)
+        if mark.exists():
+            self.seconds[name], self.processor_seconds[name] = map(float, mark.read_text(encoding="utf-8").split())
+            print(f"{name}: done before", flush=True)
+            return place
+        resumed = {"resume": place} if command.__name__ == "train" and (place / CHECKPOINT).exists() else {}
+        remember(place / ASKED, asked)
+        print(f"{name}: begins, output in {place / OUTPUT}", file=sys.stderr, flush=True)
+        started, worked = time.monotonic(), used_seconds()
+        try:
+            with (place / OUTPUT).open("a", encoding="utf-8") as file, redirect_stdout(StageOutput(name, file)):
+                result = command(**arguments, **resumed, folder=place)
+                print(result)
+        except (ValueError, FileNotFoundError) as error:
+            if not any(_is_work(path) for path in place.iterdir()):
+                (place / ASKED).unlink()  # what was wrong may be corrected
+            raise ValueError(f"stage {name}: {error}; the same command goes on from here") from error
+        self.seconds[name] = time.monotonic() - started
+        self.processor_seconds[name] = used_seconds() - worked
+        write_text(mark, f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n")
+        print(f"{name} ({self.seconds[name]:.0f} s): {result.headline}", flush=True)
+        return place
+
+    def _real(self, value: Any) -> Any:
+        """An argument in which a path into this run is that of what is shared."""
+        inside = self.shared is not None and isinstance(value, str | Path) and str(value).startswith(str(self.folder))
+        return Path(value).resolve() if inside else value
+
+    def _common(self, name: str, asked: Mapping[str, Any]) -> Path:
+        """The shared folder of a stage, with a link to it from this run's."""
+        assert self.shared is not None
+        text = json.dumps(asked, sort_keys=True).replace(str(self.shared.resolve()), "")
+        place = self.shared.resolve() / f"{name.lstrip('0123456789_')}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+        place.mkdir(parents=True, exist_ok=True)
+        link = self.folder / name
+        if not link.exists():
+            link.symlink_to(os.path.relpath(place, self.folder.resolve()), target_is_directory=True)
+        return place
+
+    def on_stand(self, name: str, motions: Sequence[str], robot: Mapping[str, Any]) -> Path:
+        """Record motions of a robot on its stand, as one stage.
+
+        Args:
+            name: of the stage; its plan lies beside it.
+            motions: names; one may be played several times.
+            robot: arguments of `collect` for it.
+        """
+        content = {"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}
+        plan = (self.shared or (self.folder / name).parent) / "stand_plan.yaml"
+        if plan.exists():
+            check_same(plan, content)
+        write_text(plan, yaml.safe_dump(content))
+        return self.run(name, collect, **robot, plan=plan)
+
+
+def _as_data(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_as_data(item) for item in value]
+    return value if isinstance(value, bool | int | float) else str(value)

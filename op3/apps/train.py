@@ -1,0 +1,351 @@
+"""Train a policy on a simulated robot.
+
+python experiments/train.py task=balance|walk [model=<model.yaml>] [seed=0] [budget=demo|laptop|paper]
+python experiments/train.py -m task=balance model=<a.yaml>,<b.yaml> seed=0,1,2
+python experiments/train.py task=walk algorithm=sac|td3|ppo
+python experiments/train.py resume=<folder of a run> [train.steps=<more>]
+python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import get_class, instantiate
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import EnvBase
+
+from op3.apps.fields import plain, whole
+from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.sentences import no_such
+from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported
+from op3.assets import named_configs
+from op3.envs import BatchedEnv, make_env
+from op3.policy import ActionMap, Manifest, PolicyBundle, Training
+from op3.policy.mirror import Mirror
+from op3.private import CLAIMED
+from op3.report import RunFolder, RunLogger
+from op3.report.training_page import histogram_figure, report_training
+from op3.report.video import film
+from op3.robot import load_robot
+from op3.sim import model_for
+from op3.sim.model_file import model_hash
+from op3.tasks.task import Task, find_task
+from op3.train import Algorithm, Practice, TrainSettings, evaluate
+from op3.train import train as run_training
+from op3.train.checkpoint import load_checkpoint
+from op3.train.training import CHECKPOINT, check_unused
+
+KEPT = (
+    "task",
+    "algorithm",
+    "train",
+    "environments",
+    "env",
+    "environment",
+    "initial_gain",
+    "fixed_gain",
+    "warm_start",
+)
+"""Settings that the manifest of a policy keeps."""
+
+FRAME_EVERY = 2
+"""Policy steps between two frames of the film."""
+
+
+INTERRUPTED = "The same command with resume=<folder of the run> goes on from its last checkpoint."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained(CommandResult):
+    """A trained policy.
+
+    Attributes:
+        policy: folder of its bundle.
+    """
+
+    policy: Path
+
+
+def train(
+    task: str = "balance",
+    model: str | Path | None = None,
+    *,
+    robot: str | Path | None = None,
+    algorithm: str | None = None,
+    budget: str | None = None,
+    steps: int | None = None,
+    environments: int | None = None,
+    warm_start: str | Path | None = None,
+    resume: str | Path | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    wandb: str = "disabled",
+    overrides: Sequence[str] = (),
+) -> Trained:
+    """Train a policy on a simulated robot.
+
+    Args:
+        task: a name in ``conf/task``.
+        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: that of the robot's file.
+        robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
+        algorithm: a name in ``conf/algorithm``.
+        budget: a name in ``conf/budget``.
+        steps: of all robots together; None: those of recipe and budget.
+        environments: robots that are stepped side by side.
+        warm_start: folder of a policy bundle to start with.
+        resume: folder of an earlier run to go on from.
+        seed: of everything random.
+        folder: of the run; None: a temporary one.
+        wandb: ``offline``, ``online`` or ``disabled``.
+        overrides: of further settings of ``conf/train.yaml``.
+
+    Raises:
+        ValueError: if something given is impossible; one sentence says what and how to fix it.
+    """
+    choices = {"model": model, "robot": robot, "algorithm": algorithm, "budget": budget, "train.steps": steps}
+    choices |= {"environments": environments, "warm_start": warm_start, "resume": resume, "seed": seed, "wandb": wandb}
+    with configured("train", [*overrides_of(task=task, **choices), *overrides], resume or folder) as cfg:
+        return main(cfg)
+
+
+def earlier(cfg: DictConfig) -> PolicyBundle | None:
+    """The policy to start with, where there is one."""
+    return None if cfg.warm_start is None else PolicyBundle.load(cfg.warm_start)
+
+
+def chosen_task(cfg: DictConfig) -> Task:
+    """The task, of the robot that is asked for."""
+    if cfg.robot is not None:
+        cfg.task.robot = cfg.robot
+    return instantiate(cfg.task)
+
+
+def actions(cfg: DictConfig, task: Task) -> ActionMap:
+    """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
+    start = earlier(cfg)
+    made = task.action_map() if start is None else start.manifest.action_map
+    if cfg.fixed_gain is None:
+        return made
+    return replace(made, gain_low=cfg.fixed_gain, gain_high=cfg.fixed_gain)
+
+
+def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
+    """Robots at a task, as the config describes them."""
+    options = {"num_threads": cfg.threads, **plain(cfg.environment)}
+    made = make_env(task, cfg.model or "own", count, seed, action_map=actions(cfg, task), **options)
+    assert isinstance(made, BatchedEnv)
+    return made
+
+
+def robots(cfg: DictConfig, task: Task) -> EnvBase:
+    """Those that learn."""
+    options = {**plain(cfg.environment), "action_map": actions(cfg, task), "backend": cfg.env}
+    if cfg.env == "composer" and cfg.environments != 1:
+        raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
+    if cfg.env == "batched":
+        options["num_threads"] = cfg.threads
+    if task.cycle is not None:  # a policy that walks begins anywhere in the gait
+        task = task.changed({"gait.first_phase": None})
+    return make_env(task, cfg.model or "own", cfg.environments, cfg.seed, **options)
+
+
+def describe(cfg: DictConfig, task: Task, algorithm: Algorithm, facts: Mapping[str, Any]) -> Manifest:
+    """The manifest of the policy to be trained."""
+    training = Training(
+        model=str(cfg.model or load_robot(task.robot).file.law or "own"),
+        model_hash=model_hash(model_for(load_robot(task.robot), cfg.model)),
+        git_hash=facts["git_hash"],
+        seed=cfg.seed,
+        command=facts["command"],
+        date=facts["date"],
+        settings={name: plain(cfg[name]) for name in KEPT},
+    )
+    return Manifest(
+        task=task.name,
+        layout=task.layout,
+        history=task.history,
+        action_map=actions(cfg, task),
+        hidden=algorithm.settings.hidden,
+        observations=task.terms("observations"),
+        cycle=task.cycle,
+        training=training,
+    )
+
+
+def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
+    """The algorithm; its untrained policy holds the stand pose."""
+    try:
+        device = torch.device(cfg.device)
+    except (RuntimeError, TypeError):
+        raise ValueError(f"device={cfg.device}: give cpu or cuda") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device=cuda: torch finds no GPU; leave device=cpu")
+    action_map, start = actions(cfg, task), earlier(cfg)
+    settings = plain(cfg.algorithm)
+    if start is not None:
+        settings |= {"hidden": list(start.manifest.hidden), "activation": start.manifest.activation}
+    try:
+        make = get_class(target := settings.pop("_target_"))
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"algorithm._target_={target}: {error}; give a class of an algorithm") from None
+    algorithm = make(
+        robots,
+        seed=cfg.seed,
+        initial_action=torch.as_tensor(action_map.stand(cfg.initial_gain)),
+        mirror=mirror_of(cfg, task, action_map),
+        device=device,
+        **settings,
+    )
+    if cfg.resume is None and start is not None:
+        algorithm.start_from(start)
+    return algorithm
+
+
+def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
+    """The robot's plane of symmetry; none where samples are not mirrored, or something has no image."""
+    if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
+        return None
+    try:
+        return task.mirror(action_map)
+    except ValueError as error:
+        print(f"Samples are not mirrored: {error}.")
+        return None
+
+
+def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
+    """The settings of the run to resume, with the overrides that are given now, and its choices of config groups."""
+    folder, hydra_config = Path(cfg.resume), HydraConfig.get()
+    if not (folder / CHECKPOINT).is_file():
+        raise ValueError(
+            f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or leave it out"
+        )
+    begun = load_checkpoint(folder / CHECKPOINT)["config"]
+    choices = begun.pop("choices")
+    before = OmegaConf.create({**begun, "resume": cfg.resume})
+    for name, value in by_name(hydra_config.overrides.task).items():
+        if name in choices:
+            if value != choices[name]:
+                raise ValueError(f"{name}={value}: the run in {folder} has {name}={choices[name]}; leave it out")
+        else:
+            OmegaConf.update(before, name.lstrip("+"), OmegaConf.select(cfg, name.lstrip("+")), force_add=True)
+    given = [word for word in hydra_config.overrides.hydra if word != os.environ.get(CLAIMED)]
+    asked = by_name(given).get("hydra.run.dir", "").strip("'")
+    if asked and Path(asked).resolve() != folder.resolve():
+        raise ValueError(
+            f"hydra.run.dir={asked}: resume={cfg.resume} goes on in its own folder; leave hydra.run.dir out"
+        )
+    return before, choices
+
+
+def main(cfg: DictConfig) -> Trained:
+    """Train, judge the kept policy, and write page, numbers and film; a sweep maximises the return."""
+    torch.set_num_threads(1)
+    choices = {name: str(value) for name, value in HydraConfig.get().runtime.choices.items()}
+    if cfg.resume is not None:
+        cfg, choices = as_begun(cfg)
+    for name, least in (("episodes", 1), ("seed", 0), ("final_seed", 0)):
+        whole(cfg, f"evaluation.{name}", least)
+    folder = Path(cfg.resume or output_folder())
+    if cfg.resume is None:
+        check_unused(folder)
+    recipes = ("null", choices["task"], *named_configs("recipe"))
+    if choices["recipe"] not in recipes:  # Hydra leaves out one that is optional
+        raise ValueError(no_such("recipe", choices["recipe"]))
+    task, facts = chosen_task(cfg), provenance(cfg)
+    settings, practice = TrainSettings(**plain(cfg.train)), Practice(task.schedules)
+    training = robots(cfg, task)
+    algorithm = learner(cfg, task, training)
+    manifest = describe(cfg, task, algorithm, facts)
+    judge_task = task if cfg.evaluation.task is None else find_task(cfg.evaluation.task)
+    judge = environment(cfg, judge_task, cfg.evaluation.episodes, cfg.evaluation.seed)
+
+    def judged(policy: Any, seed: int = cfg.evaluation.seed) -> dict[str, float]:
+        return evaluate(judge, policy, seed, judge_task.steps)
+
+    mode = cfg.wandb
+    with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
+        progress = run_training(
+            algorithm,
+            training,
+            judged,
+            settings,
+            manifest,
+            folder,
+            practice=practice,
+            log=lambda measures, step: logger.log(measures, step),
+            say=lambda line: print(line, flush=True),
+            config={**plain(cfg), "resume": None, "choices": choices},
+            resume=cfg.resume is not None,
+        )
+        training.close(raise_if_closed=False)
+        if progress.stopped:
+            print(f"Stopped after {progress.steps:,} steps. To go on: op3 train resume={folder}")
+            raise SystemExit(143)
+        policy = PolicyBundle.load(folder / "policy")
+        # on other episodes than those that chose the policy
+        final, actions, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
+        histograms = commands(policy, actions)
+        for name, figure in histograms.items():
+            logger.figure(name, figure)
+        numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in final.items()}
+        numbers |= {
+            "evaluation.task": judge_task.name,
+            "evaluation.episodes": cfg.evaluation.episodes,
+            "policy.steps": policy.manifest.training.steps,
+            "policy.updates": policy.manifest.training.updates,
+            "steps": progress.steps,
+            "updates": algorithm.updates,
+            "wall_seconds": progress.seconds,
+        }
+        logger.summary({name: value for name, value in numbers.items() if isinstance(value, int | float)})
+        begun = [] if cfg.warm_start is None else [("policy", cfg.warm_start)]
+        logger.lineage([*begun, *model_artifact(cfg)], [("policy", folder / "policy")])
+    files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
+    rate = 1.0 / (FRAME_EVERY * judge.policy_period)
+    walks = judge_task.cycle is not None
+    if cfg.evaluation.video and film(judge.scene, states, folder / "episode.mp4", rate, follow=walks):
+        files["episode.mp4"] = "a film of one episode of the kept policy"
+    values = report_training(
+        progress.history,
+        RunFolder(folder, facts),
+        title=f"Training: {task.name} on {manifest.training.model}, seed {cfg.seed}",
+        numbers=numbers,
+        settings={f"{part}.{k}": v for part in ("algorithm", "train") for k, v in plain(cfg[part]).items()},
+        histograms=histograms,
+        files=files,
+    )
+    return reported(Trained, values, "evaluation.return", folder=folder, policy=folder / "policy")
+
+
+def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[dict[str, float], Any, Any]:
+    """An evaluation with its actions [time, env, action], and states [frame, nq] of its first robot's episode."""
+    positions, actions, states = judge.simulation.batch.bind("qpos"), [], []
+
+    def watch(action: torch.Tensor, running: torch.Tensor) -> None:
+        if bool(running[0]) and len(actions) % FRAME_EVERY == 0:
+            states.append(np.array(positions[0]))
+        actions.append(action.numpy())
+
+    return evaluate(judge, policy.act, seed, steps, watch), np.stack(actions), np.stack(states)
+
+
+def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
+    """Histograms of what the policy commands, by kind of joint."""
+    action_map = policy.manifest.action_map
+    position, gain = action_map.targets(actions)
+    middle = (action_map.targets(0 * actions[:1, :1])[0]).squeeze()
+    kinds = {}
+    for index, joint in enumerate(action_map.joints):
+        kinds.setdefault(joint[2:].replace("ank", "ankle").replace("_", " "), []).append(index)
+    angles = {kind: position[..., i] - middle[i] for kind, i in kinds.items()}
+    figures = {"Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]")}
+    if action_map.gain_low is not None:
+        gains = {kind: gain[..., i] for kind, i in kinds.items()}
+        figures["P gains over an evaluation."] = histogram_figure(gains, "P gain [A/rad]")
+    return figures

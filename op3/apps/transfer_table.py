@@ -1,0 +1,41 @@
+"""Measure how often policies transfer, by what they were trained on: the paper's Tables III and IV.
+
+python experiments/transfer_table.py                                    # balancing: all robots, conditions and seeds
+python experiments/transfer_table.py task=walk condition=excitation_only,reidentified,domain_randomisation
+python experiments/transfer_table.py world=robot_7 seed=0               # a part of it; the page has all that is done
+
+A multirun of sim2real.py whose cells share stages with the same arguments. The same command goes on after an
+interruption, and several may work on the same folder.
+"""
+
+import sys
+
+from omegaconf import DictConfig
+
+from op3.apps.collect import exit_code
+from op3.apps.job import CommandResult
+from op3.apps.sim2real import check, loop
+from op3.apps.support import output_folder
+from op3.report.transfer_table_page import FAILED, read_cells, write_table
+from op3.rollout.files import write_text
+
+INTERRUPTED = "The same command goes on from the stages done."
+
+
+def main(cfg: DictConfig) -> CommandResult | None:
+    """Run one cell and write the table anew; a cell that cannot be run leaves the others."""
+    check(cfg)
+    folder = output_folder().absolute()
+    (folder / FAILED).unlink(missing_ok=True)
+    try:
+        with exit_code():
+            loop(cfg, folder)
+    except ValueError as error:
+        write_text(folder / FAILED, f"{error}\n")
+        print(f"{folder.name}: {error}", file=sys.stderr)
+    cells = read_cells(folder.parent)
+    if not cells:
+        return None
+    succeeded = sum(cell.success for cell in cells)
+    files = tuple(write_table(cells, folder.parent))
+    return CommandResult(folder.parent, f"{succeeded} of {len(cells)} transfers succeed.", files=files)

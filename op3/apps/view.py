@@ -1,0 +1,180 @@
+"""Show a log, a policy, a model or a diagnosis: in a viewer, or as a film.
+
+python experiments/view.py what=<log> [model=<model.yaml>]             # measured, and the model's prediction as a ghost
+python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
+python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands solid, the model as a ghost
+python experiments/view.py what=<robot.yaml>                           # a robot file: a multisine on the stand
+python experiments/view.py what=<run of diagnose.py>                   # measured, before and after what was named
+python experiments/view.py what=<log> out=film.mp4                     # or out=log.rrd, out=rerun
+python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as a ghost
+
+Without a screen an mp4 is written. As a command: op3 view <log>.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import DictConfig
+
+from op3.apps.fields import check_given
+from op3.apps.support import output_folder
+from op3.assets import here_or_shipped, model_names
+from op3.envs import record_episodes
+from op3.envs.actors import Watched, find_actor
+from op3.policy.bundle import MANIFEST, PolicyBundle
+from op3.policy.card import find_card
+from op3.report.frames import RenderError
+from op3.report.live import stretches, told
+from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
+from op3.report.video import write_film
+from op3.report.view import RATE, pictures, window
+from op3.robot import load_robot, multisine, squat
+from op3.robot.robot_file import FORMAT as ROBOT_FORMAT
+from op3.rollout import Rollout, read_logs
+from op3.settings import read_yaml
+from op3.sim import load_model, model_for
+from op3.tasks import Replay, simulate_motion
+from op3.tasks.task import POLICY_PERIOD, find_task
+
+
+def of_log(cfg: DictConfig) -> Tracks:
+    """A log, and what a model predicts of it unless its commands depend on what the robot sensed."""
+    logs = [one for log in read_logs(cfg.what, cfg.robot) for one in log.episodes()]
+    if not cfg.number < len(logs):
+        raise ValueError(f"number={cfg.number}: {cfg.what} holds {len(logs)} logs, counted from 0")
+    log = logs[cfg.number]
+    shown: dict[str, Rollout] = {"measured": log}
+    if log.metadata.policy_rate is not None and log.metadata.mount == "floor":
+        print("no simulated overlay: closed-loop commands cannot be replayed open-loop", file=sys.stderr)
+        return Tracks(shown, scene_of(log))
+    try:
+        prediction = Replay([log], num_threads=1).run(model_for(log.robot, cfg.model))[0]
+        shown["simulated"] = predicted(prediction)
+    except ValueError as error:
+        print(f"no simulated overlay: {error}", file=sys.stderr)
+    return Tracks(shown, scene_of(log))
+
+
+def show_card(cfg: DictConfig, path: Path) -> None:
+    """What a policy was found to do, or how that is found."""
+    card = find_card(path)
+    print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true makes one")
+
+
+def of_policy(cfg: DictConfig, path: Path) -> Tracks:
+    """An episode of a policy, in the simulation that it was trained in."""
+    made = PolicyBundle.load(path).manifest
+    show_card(cfg, path)
+    task = find_task(made.task)
+    actor = find_actor(str(path), task)
+    model = cfg.model or made.training.model
+    try:
+        load_model(model)
+    except FileNotFoundError:
+        if cfg.model is not None:
+            raise
+        print(f"{model}, on which the policy was trained, is not here; it is shown on `paper`", file=sys.stderr)
+        model = "paper"
+    env = actor.environment(task, model, 1, cfg.seed, num_threads=1)
+    watched = Watched(actor.policy, env)
+    log = record_episodes(env, watched, 1)[0]
+    return Tracks({"simulated": log}, env.scene, np.stack(watched.states), 1 / POLICY_PERIOD)
+
+
+def of_model(cfg: DictConfig) -> Tracks:
+    """A squat on the floor: the commands, and the model's simulation of them."""
+    if cfg.model is not None:
+        raise ValueError(f"model={cfg.model}: {cfg.what} is a model itself; leave it out")
+    log = simulate_motion(load_model(cfg.what), squat(duration=6.0), mount="floor")
+    commanded = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
+    return Tracks({"commanded": Rollout.from_arrays(commanded, log.metadata), "simulated": log}, scene_of(log))
+
+
+def of_robot(cfg: DictConfig) -> Tracks:
+    """A motion of a robot on the stand: its commands, and what a model of its servos makes of them as a ghost."""
+    robot = load_robot(cfg.what)
+    log = simulate_motion(model_for(robot, cfg.model), multisine(duration=6.0, robot=robot.reference), mount="stand")
+    told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
+    return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))
+
+
+def tracks_of(cfg: DictConfig) -> Tracks:
+    """What is to be shown, by what it is."""
+    path = here_or_shipped(cfg.what)
+    for policy in (path, path / "policy"):
+        if (policy / MANIFEST).is_file():
+            return of_policy(cfg, policy)
+    if (path / SHOWN).is_dir():
+        return of_diagnosis(path)
+    if not path.exists() and cfg.what not in model_names():
+        wanted = "a log, a policy bundle, a model.yaml, a name in conf/servo or the run of a diagnosis"
+        raise ValueError(f"what={cfg.what}: there is no such file or folder; give {wanted}")
+    if path.is_file() and path.suffix in (".yaml", ".yml") and read_yaml(path).get("format") == ROBOT_FORMAT:
+        return of_robot(cfg)
+    is_model = path.suffix in (".yaml", ".yml") or not path.exists() or (path / "model.yaml").is_file()
+    return of_model(cfg) if is_model else of_log(cfg)
+
+
+def watch(cfg: DictConfig, out: Path) -> None:
+    """Show a log while it is recorded: in a window, or a line per second and a film in the end."""
+    if Path(cfg.what).is_file():
+        raise ValueError(f"what={cfg.what}: live=true follows the folder of a log, or of a run of op3 deploy")
+    coming = stretches(Path(cfg.what), cfg.model)
+    if has_screen() and cfg.out is None:
+        window(coming, cfg.joint, cfg.speed)
+        return
+    seen = []
+    for tracks in filter(None, coming):
+        print(told(tracks), flush=True)
+        seen.append(tracks)
+    if not seen:
+        raise ValueError(f"what={cfg.what}: no log began there; start op3 deploy with hydra.run.dir={cfg.what}")
+    draw(seen, cfg, out)
+
+
+def draw(stretches: list[Tracks], cfg: DictConfig, out: Path) -> None:
+    """Write a film of all stretches."""
+    seconds = sum(tracks.duration for tracks in stretches) / cfg.speed
+    print(f"drawing {int(seconds * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
+    try:
+        print(write_film((one for tracks in stretches for one in pictures(tracks, cfg.joint, cfg.speed)), out, RATE))
+    except RenderError as error:
+        raise ValueError(str(error)) from None
+
+
+def has_screen() -> bool:
+    """Whether a window can be opened."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+INTERRUPTED = "Nothing is kept."
+
+
+def main(cfg: DictConfig) -> None:
+    """Show it, or write it."""
+    torch.set_num_threads(1)
+    folder = output_folder()
+    check_given(cfg, "what", "a log, a policy bundle, a model.yaml or the run of a diagnosis")
+    out = None if cfg.out is None else Path(cfg.out)
+    if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".webp", ".rrd"):
+        raise ValueError(f"out must end with .mp4, .webp or .rrd, or be rerun, got {cfg.out}")
+    if out is not None and not os.access(next(place for place in out.absolute().parents if place.exists()), os.W_OK):
+        raise ValueError(f"out={cfg.out}: nothing can be written there; choose another folder")
+    if cfg.live:
+        watch(cfg, out or folder / "view.mp4")
+        return
+    tracks = tracks_of(cfg)
+    joints = next(iter(tracks.logs.values())).joints
+    if cfg.joint is not None and cfg.joint not in joints:
+        raise ValueError(f"joint={cfg.joint}: the log has {', '.join(joints)}")
+    if out is not None and (out.name == "rerun" or out.suffix == ".rrd"):
+        from op3.report.rerun_recording import record
+
+        print(record(tracks, None if out.name == "rerun" else out) or "shown in rerun")
+    elif out is None and has_screen():
+        window([tracks], cfg.joint, cfg.speed)
+    else:
+        draw([tracks], cfg, out or folder / "view.mp4")

@@ -1,0 +1,34 @@
+"""What the configs need of Hydra before they are composed: the sweeper, the groups of effects, and interpolations.
+
+Nothing of the library is imported for it until an interpolation is resolved.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+
+from op3.identify import search_groups
+from op3.identify.sweeper_conf import PopulationSweeperConf
+
+INTERPOLATIONS = ("range", "value", "start", "own", "each_joint")
+"""Interpolations of `op3.identify.resolvers`."""
+
+
+def register() -> None:
+    """Make them known to Hydra and OmegaConf; again is harmless."""
+    ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
+    search_groups.register()
+    for name in INTERPOLATIONS:
+        OmegaConf.register_new_resolver(name, _resolver(name), replace=True)
+    OmegaConf.register_new_resolver("stem", lambda path: Path(path).stem, replace=True)
+
+
+def _resolver(name: str) -> Any:
+    def resolve(*arguments: Any, _root_: DictConfig) -> Any:
+        from op3.identify import resolvers
+
+        return getattr(resolvers, f"{name}_of")(*arguments, _root_=_root_)
+
+    return resolve
