@@ -89,7 +89,7 @@ def bounds(view: View) -> Iterator[Finding]:
                 likely, remedy = "goes there without a jump", "look whether its unit is the radian"
             elif single:
                 likely, remedy = "stands there in single rows", "leave these rows out"
-            elif key in (POSITION, COMMAND) and _opens(values, index, quantity.bound):
+            elif key in (POSITION, COMMAND) and _opens(values, int(index), quantity.bound):
                 likely = "looks like percent of a gripper's opening, as no other joint is"
                 remedy = "write its range in rad over 100 as `unit:` of the column under `columns:` in the YAML"
             severity = WARNING if few or likely.startswith("goes") else ERROR

@@ -112,7 +112,7 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[Finding]) -> No
     """Leave out messages of zeros that a second publisher puts between a topic's others; refuse where both differ."""
     for topic in (one for one in topics if one.ends("position") and len(one.rows) >= 20):
         table = np.array(topic.rows)
-        values, zero = table[:, 2:], ~table[:, 2:].any(1)
+        values, zero = table[:, 2:], np.asarray(~table[:, 2:].any(1))
         steps = [np.abs(values[n:] - values[:-n]).max(1)[: len(values) - 2] for n in (1, 2)]
         near = max(_LEAPS, 10 * float(np.median(np.minimum(*steps))))
         other, last = zero, values[0]
@@ -123,7 +123,7 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[Finding]) -> No
                 last = last if other[row] else value
             other = ~other if 2 * other.sum() > len(values) else other
         own, foreign = values[~other], values[other]
-        if _visits(other) < _PUBLISHED or (np.abs(np.diff(own, axis=0)).max(1) > 2 * near).any():
+        if _visits(np.asarray(other)) < _PUBLISHED or (np.abs(np.diff(own, axis=0)).max(1) > 2 * near).any():
             continue
         if np.abs(own - np.median(foreign, axis=0)).max() < near:
             continue  # it is there itself
@@ -308,8 +308,8 @@ def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np
         after, goals = topic.paths[place]
         if after[0] > 0:
             after, goals = np.concatenate([[0.0], after]), np.vstack([last, goals])
-        end = min(after[-1], time[following] - time[place] if following is not None else math.inf, after[0] + 3600)
-        within = [*np.arange(after[0], end, _TRAJECTORY_STEP), max(end, after[0])]
+        end = min(float(after[-1]), time[following] - time[place] if following is not None else math.inf, after[0] + 3600)
+        within = [*np.arange(float(after[0]), float(end), _TRAJECTORY_STEP), max(end, after[0])]
         path = np.stack([np.interp(within, after, goal) for goal in goals.T], axis=1)
         rows = slice(0, len(within) - (following is not None and end < after[-1] and len(within) > 1))
         times.append(time[place] + np.array(within)[rows])
