@@ -319,6 +319,8 @@ def _sags(view: View) -> np.ndarray | None:
         robot, volts = view.log.robot, view.get(("joint", "voltage"))
     except LogError:  # told by the check of the robot
         return None
+    if not set(view.joints) <= set(robot.joints):
+        return None
     sags = np.full(len(view.joints), np.nan)
     columns = robot.indices(view.joints)
     rows = np.linspace(0, len(view.time) - 1, 9).astype(int)
