@@ -308,7 +308,8 @@ def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np
         after, goals = topic.paths[place]
         if after[0] > 0:
             after, goals = np.concatenate([[0.0], after]), np.vstack([last, goals])
-        end = min(float(after[-1]), time[following] - time[place] if following is not None else math.inf, after[0] + 3600)
+        until = time[following] - time[place] if following is not None else math.inf
+        end = min(float(after[-1]), until, after[0] + 3600)
         within = [*np.arange(float(after[0]), float(end), _TRAJECTORY_STEP), max(end, after[0])]
         path = np.stack([np.interp(within, after, goal) for goal in goals.T], axis=1)
         rows = slice(0, len(within) - (following is not None and end < after[-1] and len(within) > 1))
