@@ -87,6 +87,6 @@ def main(cfg: DictConfig) -> CommandResult:
     print(f"A robot with something hidden; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
     data = record(case, folder / "data")
     windows = [] if cfg.windows is None else [f"windows={cfg.windows}"]
-    found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb, folder=folder, overrides=windows)
+    found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb.mode, folder=folder, overrides=windows)
     text = ending(found.content, open_answers(folder / "answers")[case.name], folder)
     return CommandResult(folder, text, files=())

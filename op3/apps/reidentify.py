@@ -132,7 +132,7 @@ def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
             "diagnose=true is for a single run: run diagnose.py once, and give its model.yaml as model= to all of these"
         )
     logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
-    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb)
+    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb.mode)
     return str(made / "model.yaml")
 
 
