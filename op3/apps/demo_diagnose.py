@@ -21,7 +21,7 @@ from op3.apps.progress import Progress
 from op3.apps.support import output_folder
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
-from op3.stand_in.settings import SETTINGS
+from op3.stand_in.suites import SETTINGS
 
 
 def record(case: Case, folder: Path) -> Path:

@@ -38,7 +38,7 @@ from op3.diagnose import (
 from op3.diagnose.window_gaps import gap_table
 from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
-from op3.report.diagnosis import report_diagnosis
+from op3.report.diagnosis_page import report_diagnosis
 from op3.robot import DEFAULT, leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
