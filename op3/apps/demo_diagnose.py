@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from op3.apps.diagnose import diagnose
 from op3.apps.job import CommandResult
-from op3.apps.progress import Progress
+from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
@@ -26,7 +26,7 @@ from op3.stand_in.suites import SETTINGS
 
 def record(case: Case, folder: Path) -> Path:
     """Record the suite of the case's robot; returns the folder of the logs."""
-    runs, say = SETTINGS[case.robot].rich(case.seed), Progress()
+    runs, say = SETTINGS[case.robot].rich(case.seed), ProgressLine()
     for number, log in enumerate(record_case(case, runs), start=1):
         log.save(folder / f"{number:02d}_{log.metadata.motion}", overwrite=True)
         say("recording", number / len(runs))

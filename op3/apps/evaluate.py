@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.fields import plain, whole
 from op3.apps.job import CommandResult, configured, overrides_of
-from op3.apps.progress import Progress
+from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder, provenance, reported, run_folder
 from op3.assets import here_or_shipped
 from op3.compliance.robustness import Variation, make_card
@@ -105,7 +105,7 @@ class WithProgress(Watched):
 
     def __init__(self, policy: Any, env: BatchedEnv, steps: int):
         super().__init__(policy, env)
-        self._say, self._steps = Progress(), steps
+        self._say, self._steps = ProgressLine(), steps
 
     def act(self, observation: torch.Tensor) -> torch.Tensor:
         """The policy's action."""
