@@ -103,7 +103,7 @@ def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
     report_evaluation([log, log], RunFolder(tmp_path, {}), numbers=numbers, profile=profile, **said)
     text = read(tmp_path)
     assert "1 of 2 episodes without a fall" in text
-    assert "Its mean return under R_eval is 200.0 (standard deviation 3.0)." in text
+    assert "R_eval 200.0 (standard deviation 3.0)." in text
     assert all((part in text) == walks for part in ("95 %: 0.3 to 1", "more R_eval than hold", "over the gait"))
 
 
