@@ -29,6 +29,7 @@ from op3.settings import (
     settings,
     shown,
 )
+from op3.wandb_settings import WandbSettings
 
 
 @settings()
@@ -78,7 +79,6 @@ class Common:
     gain_scale: Positive = 1.0
     bench_timestep: Positive = 1.0
     latency_timer: Positive = 1.0
-    wandb: Literal["offline", "online", "disabled"] = "offline"
 
     @classmethod
     def of(cls, cfg: DictConfig) -> "Common":
@@ -130,6 +130,8 @@ def check(cfg: DictConfig) -> None:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
             raise ValueError(f"{name}={value}: there is no such file or folder")
+    if "wandb" in cfg:
+        WandbSettings.of(plain(cfg.wandb))
     if cfg.get("robot"):
         robot_file(cfg.robot)
     model = None if OmegaConf.is_missing(cfg, "model") else cfg.get("model")

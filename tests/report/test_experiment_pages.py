@@ -83,7 +83,7 @@ def test_a_training_ends_with_its_best_policy(tmp_path):
     shown = {"settings": {"algorithm.n_step": 5}, "histograms": {}, "files": {"episode.mp4": "a film"}}
     report_training(history, RunFolder(tmp_path, {}), title="Training: balance", numbers=numbers, **shown)
     text = read(tmp_path)
-    assert "ends 75 % of its final episodes upright, with a mean return of 29.0." in text
+    assert "does not fall in 75 % of its final episodes; their mean return is 29.0." in text
     assert "1.5 min" in text.replace("  ", " ")
     assert read_result(tmp_path / "result.yaml")["learning.return"] == [10.0, 20.0, 30.0]
 
@@ -102,8 +102,8 @@ def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
     said = {"label": "walk", "task": "walk", "returns": {"walk": [197.0, 203.0]}, "joint": "r_ank_pitch", "files": {}}
     report_evaluation([log, log], RunFolder(tmp_path, {}), numbers=numbers, profile=profile, **said)
     text = read(tmp_path)
-    assert "The policy ends 1 of 2 episodes upright." in text
-    assert "Its mean return under R_eval is 200.0 (standard deviation 3.0)." in text
+    assert "1 of 2 episodes without a fall" in text
+    assert "R_eval 200.0 (standard deviation 3.0)." in text
     assert all((part in text) == walks for part in ("95 %: 0.3 to 1", "more R_eval than hold", "over the gait"))
 
 
