@@ -25,6 +25,7 @@ from op3.apps.fields import check
 from op3.apps.sentences import as_sentence
 from op3.command_help import COMMANDS, config_file
 from op3.identify.registration import register
+from op3.identify.sweeper_conf import PopulationSweeperConf
 from op3.private import CLAIMED, masked, scrub
 
 NOTHING_KEPT = "Nothing goes on from here: run it again."
@@ -75,11 +76,28 @@ class Job:
         with one_sentence(self.__module__):
             register()  # a launcher's worker process has composed nothing itself
             check(cfg)
-            result = importlib.import_module(self.__module__).main(cfg)
+            module = importlib.import_module(self.__module__)
+            if hasattr(module, "sweep_or_report"):  # its main is a study
+                result = module.main(cfg)
+            else:
+                result = _search()(module.main, cfg) if searched() else module.main(cfg)
             if not isinstance(result, CommandResult):
                 return result  # of a population that the sweeper asked for
             print(result, flush=True)
             return result.objective
+
+
+def searched() -> bool:
+    """Whether this process works for a study over a command's settings."""
+    hydra = HydraConfig.get()
+    target = OmegaConf.select(hydra, "sweeper._target_")
+    return hydra.mode == RunMode.MULTIRUN and target == PopulationSweeperConf._target_
+
+
+def _search() -> Any:
+    from op3.apps.search import search  # which needs this module
+
+    return search
 
 
 @contextmanager

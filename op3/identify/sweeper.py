@@ -17,13 +17,9 @@ Folders:
         populations/0/, 1/, ...                one folder per population job, with its population.json
 """
 
-import importlib
-import importlib.machinery
 import itertools
 import json
 import logging
-import sys
-import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,7 +34,6 @@ from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import CompactHydraException
 from hydra.plugins.launcher import Launcher
-from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
@@ -46,7 +41,6 @@ from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
 from op3.identify.study import Evaluate, Outcome, as_outcome, evaluate_population
 from op3.identify.study_settings import StudySettings, read_settings
-from op3.identify.sweeper_conf import PLUGIN_MODULE
 from op3.rollout.files import write_text
 
 log = logging.getLogger(__name__)
@@ -121,26 +115,23 @@ def _kept_starts(
     return json.loads(path.read_text())
 
 
-class PopulationSweeper(Sweeper):
-    """Runs one study for each cell of the command line's grid."""
+class PopulationSweep:
+    """Runs one study for each cell of the command line's grid; settings are read from every cell's own config.
 
-    __module__ = PLUGIN_MODULE
+    Args:
+        hydra_context: of the sweep.
+        task_function: of the command.
+        config: of the multirun.
+    """
 
-    _config: DictConfig
-    _loader: ConfigLoader
-    _launcher: Launcher
-
-    def __init__(self, **settings: Any) -> None:
-        """Nothing is kept: the settings are read from every cell's own config, where groups may change them."""
-
-    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Take over Hydra's objects and make the launcher."""
-        self._config, self._loader = config, hydra_context.config_loader
-        self._launcher = Plugins.instance().instantiate_launcher(
+    def __init__(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig):
+        self._config: DictConfig = config
+        self._loader: ConfigLoader = hydra_context.config_loader
+        self._launcher: Launcher = Plugins.instance().instantiate_launcher(
             hydra_context=hydra_context, task_function=task_function, config=config
         )
 
-    def sweep(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
+    def run(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
         """Run all cells; return the job that reported each."""
         sweep_dir = Path(str(self._config.hydra.sweep.dir)).absolute()
         sweep_dir.mkdir(parents=True, exist_ok=True)
@@ -289,25 +280,3 @@ def _one_sentence() -> Iterator[None]:
         yield
     except StudyError as error:
         raise CompactHydraException(str(error)) from error
-
-
-def register() -> None:
-    """Make `hydra/sweeper: population` known to Hydra.
-
-    Hydra finds a plugin by its name under `hydra_plugins`, a package that every plugin extends. Our module is added to
-    it at run time, so that no second top-level package is installed and a checkout works as it is.
-    """
-    try:
-        importlib.import_module("hydra_plugins")
-    except ModuleNotFoundError:
-        package = types.ModuleType("hydra_plugins")
-        package.__spec__ = importlib.machinery.ModuleSpec("hydra_plugins", None, is_package=True)
-        package.__path__ = []
-        sys.modules["hydra_plugins"] = package
-    module = types.ModuleType(PLUGIN_MODULE)
-    module.PopulationSweeper = PopulationSweeper  # pyright: ignore[reportAttributeAccessIssue]
-    sys.modules[PLUGIN_MODULE] = module
-    Plugins.instance().register(PopulationSweeper)
-
-
-register()

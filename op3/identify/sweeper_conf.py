@@ -1,17 +1,14 @@
 """Hydra's config of the sweeper, in a module of its own so that a config is composed before a study is imported."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
-
-# Hydra takes plugin classes from the module tree `hydra_plugins` only, see `op3.identify.sweeper.register`.
-PLUGIN_MODULE = "hydra_plugins.op3_population_sweeper"
 
 
 @dataclass
 class PopulationSweeperConf:
     """Settings of the sweeper, in Hydra's config under `hydra.sweeper`."""
 
-    _target_: str = f"{PLUGIN_MODULE}.PopulationSweeper"
+    _target_: str = "hydra_plugins.op3_population_sweeper.PopulationSweeper"
     # The sampler is built by us, once for every population.
     _recursive_: bool = False
     # tpe, cmaes, nsga2, nsga2+surrogate, random; {name: tpe, **options}
@@ -37,6 +34,6 @@ class PopulationSweeperConf:
     # null: drawn anew for each new study
     seed: int | None = None
     # config key -> range, such as interval(0.003, 0.009)
-    params: dict[str, Any] | None = None
+    params: dict[str, Any] = field(default_factory=dict)
     # config key -> labels: what is searched once for each, as <key>@joint=<label>, from the key's own value
     each: Any = None

@@ -213,3 +213,21 @@ def test_learning_curves_come_from_the_results_of_trainings(tmp_path, monkeypatc
     monkeypatch.syspath_prepend(str(ROOT / "experiments"))
     drawn = import_module("policy_figures").learning({"walk": [str(tmp_path)]}, tmp_path / "learning.svg")
     assert tmp_path.name in drawn.read_text()
+
+
+def test_settings_are_searched(tmp_path):
+    """The sweeper runs a study over settings of a training: each trial is a run of its own, and the best is told."""
+    sweeper = ["-m", "hydra/sweeper=population", "hydra.sweeper.n_trials=2", "hydra.sweeper.population=2"]
+    sweeper += [
+        '+hydra.sweeper.params={algorithm.actor_rate: "tag(log, interval(1e-4,1e-3))"}',
+        f"hydra.sweep.dir={tmp_path}",
+    ]
+    done = run_script("train.py", *TINY, *sweeper, "hydra.sweeper.direction=maximize", "hydra.sweeper.seed=0")
+    assert done.returncode == 0, done.stderr
+    found = read_result(tmp_path / "optimization_results.yaml")
+    runs = [tmp_path / "0/populations/0" / f"{number}" for number in range(2)]
+    returns = [read_result(run / "result.yaml")["evaluation.return"] for run in runs]
+    assert found["best_value"] == max(returns)
+    chosen = PolicyBundle.load(runs[returns.index(max(returns))] / "policy").manifest.training.settings["algorithm"]
+    assert chosen["actor_rate"] == found["best_params"]["algorithm.actor_rate"]
+    assert "The best of 2 runs gives" in done.stdout

@@ -1,0 +1,63 @@
+"""`hydra/sweeper=population` for every command: a study over its settings, in which each trial is a run."""
+
+from collections.abc import Callable
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
+
+from op3.apps.job import CommandResult
+
+
+def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
+    """A job of the study, or the end of it.
+
+    Args:
+        main: of the command; the study optimises its result's `objective`.
+        cfg: of the job.
+
+    Returns:
+        What was found, or in a job for a population the results of its trials.
+
+    Raises:
+        ValueError: if the command has nothing to optimise.
+    """
+    from op3.identify.sweeper import sweep_or_report
+
+    folder = Path(HydraConfig.get().runtime.output_dir)
+
+    def evaluate(population: list[dict[str, Any]]) -> list[float]:
+        return [_trial(main, cfg, values, folder / f"{number}") for number, values in enumerate(population)]
+
+    found = sweep_or_report(cfg, evaluate)
+    if isinstance(found, list):
+        return found
+    best = ", ".join(f"{name}={value:.4g}" for name, value in (found["best_params"] or {}).items())
+    headline = f"The best of {found['n_trials']} runs gives {found['best_value']:.4g}: {best}."
+    results = (folder / "optimization_results.yaml",)
+    return CommandResult(folder, headline, found, found["best_value"], results)
+
+
+def _trial(main: Callable[[DictConfig], CommandResult], cfg: DictConfig, values: dict[str, Any], folder: Path) -> float:
+    """The objective of a run with these values, which keeps its files in a folder of its own."""
+    chosen = deepcopy(cfg)
+    with open_dict(chosen):
+        del chosen["population"]
+    for name, value in values.items():
+        OmegaConf.update(chosen, name, value)
+    hydra = HydraConfig.instance().cfg
+    assert hydra is not None
+    runtime, before = hydra.hydra.runtime, hydra.hydra.runtime.output_dir
+    folder.mkdir(parents=True, exist_ok=True)
+    with read_write(runtime):
+        runtime.output_dir = str(folder)
+        try:
+            result = main(chosen)
+        finally:
+            runtime.output_dir = before
+    print(result, flush=True)
+    if result.objective is None:
+        raise ValueError("hydra/sweeper=population: this command's result has no number to optimise")
+    return result.objective
