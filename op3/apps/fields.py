@@ -118,6 +118,8 @@ def check(cfg: DictConfig) -> None:
         FileNotFoundError: if the model is neither a file nor a name.
     """
     Common.of(cfg)
+    if "wandb" in cfg:
+        WandbSettings.of(plain(cfg.wandb))
     for name, default in read_yaml(config_file(HydraConfig.get().job.config_name or "")).items():
         kind, wanted = KINDS.get(type(default), (object, ""))
         open_ended = isinstance(default, str) and re.match(r"\$\{|\?\?\?", default)
@@ -130,8 +132,6 @@ def check(cfg: DictConfig) -> None:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
             raise ValueError(f"{name}={value}: there is no such file or folder")
-    if "wandb" in cfg:
-        WandbSettings.of(plain(cfg.wandb))
     if cfg.get("robot"):
         robot_file(cfg.robot)
     model = None if OmegaConf.is_missing(cfg, "model") else cfg.get("model")

@@ -22,9 +22,6 @@ from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetw
 NORMALISED = "normalised"
 """Key of the normalised observation, which networks read; environments and stored transitions have ``observation``."""
 
-TAKEN_OVER = 10_000
-"""Observations that a normalisation taken over from another policy counts for."""
-
 Measures = dict[str, Tensor]
 """Scalars by name, for logs."""
 
@@ -149,6 +146,9 @@ class Algorithm(nn.Module, ABC):
     def start_from(self, policy: PolicyBundle) -> None:
         """Begin with a policy's network and normalisation; critics and exploration begin anew.
 
+        The normalisation counts for as many observations as the policy has learned from, so that it moves no faster
+        under the network than it did there.
+
         Raises:
             ValueError: if the policy has another size.
         """
@@ -164,7 +164,7 @@ class Algorithm(nn.Module, ABC):
         with torch.no_grad():
             for name, value in here.items():
                 value.copy_(there[name])
-        self.normaliser.assume(there["observation.mean"], there["observation.scale"], TAKEN_OVER)
+        self.normaliser.assume(there["observation.mean"], there["observation.scale"], max(known.training.steps or 0, 1))
 
     def policy_network(self, initial_action: Tensor | None) -> PolicyNetwork:
         """The policy's network, before tanh."""

@@ -1,6 +1,7 @@
 """Networks, losses, returns and exploration against independent computations."""
 
 import copy
+import dataclasses
 import math
 
 import pytest
@@ -14,7 +15,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import REDQLoss, SACLoss
 from train_pendulum import LIMIT, MANIFEST, Pendulum
 
-from op3.policy import PolicyBundle
+from op3.policy import PolicyBundle, Training
 from op3.train import PPO, SAC, TD3, Algorithm, Mirrored, OffPolicy, SACSettings, evaluate
 from op3.train.networks import Ensemble, Normaliser, PolicyNetwork, QNetwork
 
@@ -350,6 +351,15 @@ def test_an_algorithm_starts_from_a_policy():
     second.start_from(policy)
     observation = torch.randn(7, 3, generator=generator(3))
     torch.testing.assert_close(second.bundle(MANIFEST).act(observation), policy.act(observation), rtol=0, atol=1e-6)
+    learned = PolicyBundle(dataclasses.replace(policy.manifest, training=Training(steps=100_000)), policy.weights)
+    third = SAC(Pendulum(16), **SMALL, seed=2)
+    third.start_from(learned)
+    for algorithm in (second, third):  # of a policy that learned from much, little changes the normalisation
+        algorithm.normaliser.update(torch.randn(1000, 3, generator=generator(4)) - 5)
+    moved = [
+        (algorithm.normaliser.mean - policy.weights["observation.mean"]).abs().max() for algorithm in (second, third)
+    ]
+    assert moved[1] < 0.1 < moved[0]
     other = SAC(Pendulum(16), **{**SMALL, "hidden": (8, 8)})
     with pytest.raises(ValueError, match="hidden layers"):
         other.start_from(policy)
