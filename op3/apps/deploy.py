@@ -32,8 +32,8 @@ from op3.deploy import (
     run,
     setup,
 )
-from op3.deploy.commands import CommandSource, command_source
-from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
+from op3.deploy.command_sources import CommandSource, command_source
+from op3.deploy.connection import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.session import LOG_NAMES
 from op3.deploy.start_checks import Check

@@ -23,7 +23,7 @@ from op3.apps.support import focus_joints, logs_where, output_folder, reported, 
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import chosen_model
-from op3.identify.settings import read_settings, search_space_of
+from op3.identify.study_settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
 from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs

@@ -23,7 +23,7 @@ from op3.apps.fields import plain
 from op3.apps.job import CommandResult, configured, goes_on, overrides_of
 from op3.apps.stages import Stages
 from op3.apps.support import output_folder, reported, run_folder
-from op3.identify.episodes import ended_by, that_count
+from op3.identify.failed_episodes import ended_by, that_count
 from op3.identify.identification import PREFIX
 from op3.identify.reidentification import Reidentification
 from op3.identify.search_space import parse_search_space
@@ -132,7 +132,7 @@ def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
             "diagnose=true is for a single run: run diagnose.py once, and give its model.yaml as model= to all of these"
         )
     logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
-    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb)
+    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb.mode)
     return str(made / "model.yaml")
 
 

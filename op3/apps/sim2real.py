@@ -27,7 +27,7 @@ from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
 from op3.apps.support import ASKED, check_same, library_motion, output_folder, provenance, remember
 from op3.apps.train import train
-from op3.identify.episodes import ended_by, that_count
+from op3.identify.failed_episodes import ended_by, that_count
 from op3.policy import PolicyBundle
 from op3.report import RunFolder, read_result
 from op3.report.transfer_page import Learned, Transfer, report_transfers

@@ -30,7 +30,7 @@ from op3.report.frames import RenderError
 from op3.report.live import stretches, told
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
-from op3.report.view import RATE, pictures, window
+from op3.report.viewer import RATE, pictures, window
 from op3.robot import load_robot, multisine, squat
 from op3.robot.robot_file import FORMAT as ROBOT_FORMAT
 from op3.rollout import Rollout, read_logs

@@ -30,8 +30,8 @@ from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
 from op3.deploy.operator import told
 from op3.deploy.registers import CURRENT_MODE, WATCHDOG_UNIT
+from op3.deploy.robot_state import State
 from op3.deploy.start_checks import StartChecks
-from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick
 
 WATCHDOG = 5

@@ -39,8 +39,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
-from op3.identify.settings import StudySettings, read_settings
 from op3.identify.study import Evaluate, Outcome, as_outcome, evaluate_population
+from op3.identify.study_settings import StudySettings, read_settings
 from op3.rollout.files import write_text
 
 log = logging.getLogger(__name__)

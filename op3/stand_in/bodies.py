@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from op3.robot.kinematics import rotation_matrix
 from op3.stand_in.hidden import Hidden
-from op3.stand_in.kernel import TICK, step_limbs, step_servos
-from op3.stand_in.servos import Servos
+from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.integration import TICK, step_limbs, step_servos
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from op3.report.panels import Panel, panels_figure
 from op3.report.result import RunFolder, publish
 from op3.report.style import MUTED, PALETTE, bars_figure
 from op3.report.tables import TableRows, place_in_range, span
-from op3.report.traces import checks_table, traces_figure
+from op3.report.trace_figures import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted
 from op3.servo import Parameter, RobotModel, effect_class
 from op3.tasks import Prediction
