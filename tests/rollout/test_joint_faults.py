@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rollout_logs import SERVO_BENCH
 
 from op3.robot import load_robot
-from op3.rollout import Metadata, Rollout
+from op3.rollout import Metadata, Rollout, read_episodes
 from op3.rollout.health import ERROR, examine
+from op3.rollout.read import expand
 
 COUNT = 2 * np.pi / 4096
 TIME = np.arange(1200) / 100
@@ -213,3 +215,13 @@ def test_a_gain_that_is_too_large_is_named():
     gain = np.full(TARGET.shape, 500.0 / 100)
     found = examine(log(TARGET, POSITION, command__p_gain=10 * gain, joint__current=0.5 * gain * (TARGET - POSITION)))
     assert any("as if p_gain were 20 times what it is" in one.problem for one in found)
+
+
+@pytest.mark.skipif(not SERVO_BENCH.is_dir(), reason=f"no recordings in {SERVO_BENCH}")
+def test_benches_of_real_servos_let_nothing_go():
+    """Servos that creep, saturate and rest between steps."""
+    paths = [path for kind in sorted(SERVO_BENCH.iterdir()) if kind.is_dir() for path in expand(kind)[::8]]
+    found = [one for path in paths for log in read_episodes(path, check=False) for one in examine(log)]
+    assert not [
+        one.error(None) for one in found if one.check in ("lets go", "constant offset", "supply and temperature")
+    ]

@@ -1087,7 +1087,8 @@ def test_a_joint_that_goes_limp_is_told():
     arrays = {"time": log.array("time"), "command/position": log.array("command/position")}
     arrays["joint/position"] = np.where(limp, angle, log.array("joint/position"))
     (found,) = examine(Rollout.from_arrays(arrays, log.metadata))
-    assert found.check == "lets go"
+    assert found.check == "stands still"
+    assert "and its command by" in found.problem
 
 
 def test_an_orientation_that_stops_is_set_aside():

@@ -109,16 +109,12 @@ def _unexplained(angle: np.ndarray, target: np.ndarray, period: float) -> tuple[
     rows = np.arange(len(angle))
     causes = [target[np.maximum(rows - lag, 0)] for lag in lags]
     causes = np.stack([*causes, np.ones(len(angle)), target**2], axis=1)
-    quarter, best = len(angle) // 4, None
-    for begin in range(0, 4 * quarter, quarter):  # each may be the one in which the joint follows
-        kept = (rows >= begin) & (rows < begin + quarter)
-        for _ in range(6):
-            off = np.abs(angle - causes @ np.linalg.lstsq(causes[kept], angle[kept])[0])
-            kept = off <= max(4 * float(np.median(off[kept])), 0.003)
-        usual = float(np.quantile(off[kept], 0.98))
-        if kept.mean() > 0.5 and usual < min(0.15 * np.ptp(target), np.inf if best is None else best[1]):
-            best = off, usual
-    return best
+    kept, off = np.ones(len(angle), bool), np.abs(angle)
+    for _ in range(6):
+        off = np.abs(angle - causes @ np.linalg.lstsq(causes[kept], angle[kept])[0])
+        kept = off <= max(4 * float(np.median(off)), 0.003)
+    usual = float(np.quantile(off[kept], 0.98))
+    return (off, usual) if kept.mean() > 0.5 and usual < 0.15 * np.ptp(target) else None
 
 
 @check("position without its command", unless=("position against command", "two clocks", "stands still", "lets go"))
