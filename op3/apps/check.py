@@ -10,8 +10,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given
-from op3.apps.job import CommandResult
 from op3.apps.support import output_folder
 from op3.report.frames import RenderError
 from op3.report.robot_table import draw_robot, robot_table

@@ -27,7 +27,8 @@ import numpy as np
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.command_result import CommandResult
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
 from op3.deploy import Stop

@@ -15,7 +15,8 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.command_result import CommandResult
+from op3.apps.job import configured, overrides_of
 from op3.apps.support import output_folder, seeded_faults
 from op3.deploy import (
     Connection,

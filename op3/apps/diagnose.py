@@ -20,8 +20,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from threadpoolctl import threadpool_limits
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain, whole
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import library_motion, output_folder, reported, run_folder
 from op3.diagnose import (

@@ -18,8 +18,9 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, whole
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder, provenance, reported, run_folder
 from op3.assets import here_or_shipped

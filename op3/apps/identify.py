@@ -17,8 +17,9 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.support import focus_joints, logs_where, output_folder, reported, run_folder
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss

@@ -18,9 +18,10 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
 from op3.apps.fields import plain
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.stages import Stages
 from op3.apps.support import output_folder, reported, run_folder
 from op3.identify.failed_episodes import ended_by, that_count

@@ -8,7 +8,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from op3.apps.job import CommandResult
+from op3.apps.command_result import CommandResult
 
 
 def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:

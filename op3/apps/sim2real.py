@@ -18,11 +18,12 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.collect import collect, exit_code
+from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
 from op3.apps.evaluate import evaluate
 from op3.apps.fields import plain, positive
 from op3.apps.identify import identify
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
 from op3.apps.support import ASKED, check_same, library_motion, output_folder, provenance, remember

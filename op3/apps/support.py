@@ -11,8 +11,9 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain
-from op3.apps.job import CommandResult, command_of_run, composed, override
+from op3.apps.job import command_of_run, composed, override
 from op3.assets import find_model, named_configs
 from op3.private import scrub
 from op3.robot import DEFAULT, Motion

@@ -20,8 +20,9 @@ from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, whole
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.sentences import no_such
 from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported, wandb_of
 from op3.assets import named_configs
