@@ -7,6 +7,7 @@ RUN apt-get update \
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY op3 op3
+COPY hydra_plugins hydra_plugins
 COPY conf conf
 COPY assets assets
 RUN pip install --no-cache-dir --index-url https://download.pytorch.org/whl/cpu --extra-index-url https://pypi.org/simple \

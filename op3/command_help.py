@@ -10,6 +10,7 @@ COMMANDS: Mapping[str, str] = {
     "demo": "sim2real",
     "demo diagnose": "demo_diagnose",
     "collect": "collect",
+    "check": "check",
     "import": "import_log",
     "identify": "identify",
     "predict": "predict",

@@ -117,8 +117,6 @@ def _launch(app: str) -> None:
         register()
         if kind == "sweep":
             check_first_job(app, [word for word in sys.argv[1:] if not word.startswith("-")])
-            if "population" in _text(app):
-                import op3.identify.sweeper  # noqa: F401  registers itself with Hydra
         folder = claim(app, sys.argv[1:])
         if folder is not None:
             sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))

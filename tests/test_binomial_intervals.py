@@ -2,7 +2,7 @@
 
 import pytest
 
-from op3.intervals import mean_interval, wilson_interval
+from op3.sample_intervals import mean_interval, wilson_interval
 
 
 def test_interval_of_a_mean():

@@ -29,7 +29,7 @@ from op3.sim import load_model
 from op3.stand_in import cases as bench
 from op3.stand_in.cases import Case, record_case
 from op3.stand_in.hidden import Hidden
-from op3.stand_in.settings import SETTINGS, Setting
+from op3.stand_in.suites import SETTINGS, Setting
 from op3.stand_in.world import BENCH_RANGES, World
 
 ARM = ("l_sho_pitch", "l_sho_roll", "l_el")

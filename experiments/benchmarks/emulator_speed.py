@@ -19,7 +19,7 @@ from op3.deploy.emulator import EmulatedRobot, Physics, SimPhysics, StandInPhysi
 from op3.deploy.registers import OPEN_CR_ID, POSITION_ZERO
 from op3.report import machine
 from op3.robot import load_robot
-from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
+from op3.robot.register_units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.sim import load_model
 
 TICK = 0.008

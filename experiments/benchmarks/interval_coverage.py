@@ -28,7 +28,7 @@ from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
 from op3.report import Page, run_provenance, write_result
 from op3.robot import Motion, load_robot
-from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
+from op3.robot.register_units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import load_model

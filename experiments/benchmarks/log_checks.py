@@ -25,7 +25,7 @@ from op3.rollout import LogError, Metadata, Rollout, read_log, read_logs
 from op3.rollout.health import ERROR, examine
 from op3.stand_in.cases import draw_case, record_case
 from op3.stand_in.hidden import CATALOGUE
-from op3.stand_in.settings import SETTINGS
+from op3.stand_in.suites import SETTINGS
 
 ROOT = Path(__file__).resolve().parents[2]
 RUNS = 2

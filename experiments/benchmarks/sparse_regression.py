@@ -20,7 +20,7 @@ from scipy.signal import savgol_filter
 
 from op3.robot import build_scene
 from op3.robot.kinematics import rotation_matrix
-from op3.robot.units import GRAVITY
+from op3.robot.register_units import GRAVITY
 from op3.rollout import Rollout, read_logs
 from op3.sim import load_model
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from train import describe, learner, robots
 
 from op3.apps.fields import plain
+from op3.apps.train import describe, learner, robots
 from op3.report import machine, run_provenance
 from op3.train import Practice, TrainSettings, train
 

@@ -27,8 +27,9 @@ import numpy as np
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
-from op3.apps.progress import Progress
+from op3.apps.command_result import CommandResult
+from op3.apps.job import configured, goes_on, overrides_of
+from op3.apps.progress import ProgressLine
 from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
 from op3.deploy import Stop
 from op3.deploy.dynamixel_bus import Unplugged
@@ -153,7 +154,7 @@ def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
         check_made_for(motions[name], cfg.robot)
         check_motion(motions[name], mount)
     robots: dict[str, Any] = {}
-    say, total = Progress(), len(plan) * cfg.repeats
+    say, total = ProgressLine(), len(plan) * cfg.repeats
     counts: dict[str, int] = {}
     folders = []
     for name, mount in plan:
@@ -193,7 +194,7 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
     if task is not None:
         task = built(task)
         task.check_policy(bundle.manifest, f"policy={cfg.policy}")
-    folders, say = [], Progress()
+    folders, say = [], ProgressLine()
     for number in range(cfg.repeats):
         say("episodes", number / cfg.repeats)
         name = f"{Path(cfg.policy).name}-{number}"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from op3.apps.job import CommandResult
+from op3.apps.command_result import CommandResult
 from op3.report.comparison_page import read_runs, variants, write_comparison
 
 

@@ -12,14 +12,15 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.support import output_folder, provenance, reported
 from op3.compliance.compare import difference
-from op3.compliance.study import Sizes, Study, contestants
+from op3.compliance.compliance_study import Sizes, Study, contestants
 from op3.envs.actors import find_actor
 from op3.report import RunFolder
-from op3.report.compliance import report_compliance
+from op3.report.compliance_page import report_compliance
 from op3.sim import load_model
 
 INTERRUPTED = "Nothing is kept but what the folder holds."

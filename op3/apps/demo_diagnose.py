@@ -15,18 +15,18 @@ import torch
 from omegaconf import DictConfig
 from threadpoolctl import threadpool_limits
 
+from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
-from op3.apps.job import CommandResult
-from op3.apps.progress import Progress
+from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
-from op3.stand_in.settings import SETTINGS
+from op3.stand_in.suites import SETTINGS
 
 
 def record(case: Case, folder: Path) -> Path:
     """Record the suite of the case's robot; returns the folder of the logs."""
-    runs, say = SETTINGS[case.robot].rich(case.seed), Progress()
+    runs, say = SETTINGS[case.robot].rich(case.seed), ProgressLine()
     for number, log in enumerate(record_case(case, runs), start=1):
         log.save(folder / f"{number:02d}_{log.metadata.motion}", overwrite=True)
         say("recording", number / len(runs))
@@ -87,6 +87,6 @@ def main(cfg: DictConfig) -> CommandResult:
     print(f"A robot with something hidden; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
     data = record(case, folder / "data")
     windows = [] if cfg.windows is None else [f"windows={cfg.windows}"]
-    found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb, folder=folder, overrides=windows)
+    found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb.mode, folder=folder, overrides=windows)
     text = ending(found.content, open_answers(folder / "answers")[case.name], folder)
     return CommandResult(folder, text, files=())

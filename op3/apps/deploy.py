@@ -15,7 +15,8 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.command_result import CommandResult
+from op3.apps.job import configured, overrides_of
 from op3.apps.support import output_folder, seeded_faults
 from op3.deploy import (
     Connection,
@@ -32,8 +33,8 @@ from op3.deploy import (
     run,
     setup,
 )
-from op3.deploy.commands import CommandSource, command_source
-from op3.deploy.deploy import EMULATED, HANG_SCALE, POLICY_RATE
+from op3.deploy.command_sources import CommandSource, command_source
+from op3.deploy.connection import EMULATED, HANG_SCALE, POLICY_RATE
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.session import LOG_NAMES
 from op3.deploy.start_checks import Check

@@ -15,8 +15,9 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, positive
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.support import library_motion, output_folder, provenance, reported
 from op3.assets import named_configs
 from op3.identify.design import Candidate, check_choice, choose, information

@@ -20,9 +20,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from threadpoolctl import threadpool_limits
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain, whole
-from op3.apps.job import CommandResult, configured, overrides_of
-from op3.apps.progress import Progress
+from op3.apps.job import configured, overrides_of
+from op3.apps.progress import ProgressLine
 from op3.apps.support import library_motion, output_folder, reported, run_folder
 from op3.diagnose import (
     Diagnosis,
@@ -38,7 +39,7 @@ from op3.diagnose import (
 from op3.diagnose.window_gaps import gap_table
 from op3.identify.resolvers import chosen_model
 from op3.policy import PolicyBundle
-from op3.report.diagnosis import report_diagnosis
+from op3.report.diagnosis_page import report_diagnosis
 from op3.robot import DEFAULT, leg_suite
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
@@ -124,7 +125,7 @@ def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: l
     """What a policy would return before and after, and what it did where its episodes are given."""
     from op3.envs.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
 
-    options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": Progress()}
+    options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": ProgressLine()}
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
 
@@ -155,7 +156,7 @@ def main(cfg: DictConfig) -> Diagnosed:
         seed=cfg.seed,
         without=tuple(cfg.without),
         settings=Settings(windows=cfg.windows),
-        progress=Progress(),
+        progress=ProgressLine(),
     )
     if cfg.mode == "aliasing":
         content = aliasing(diagnosis, planned=bool(cfg.planned))

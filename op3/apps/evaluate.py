@@ -18,9 +18,10 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, whole
-from op3.apps.job import CommandResult, configured, overrides_of
-from op3.apps.progress import Progress
+from op3.apps.job import configured, overrides_of
+from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder, provenance, reported, run_folder
 from op3.assets import here_or_shipped
 from op3.compliance.robustness import Variation, make_card
@@ -28,12 +29,12 @@ from op3.envs import BatchedEnv
 from op3.envs.actors import Watched, find_actor
 from op3.envs.gait_validity import GaitValidity, judged_episodes
 from op3.envs.tracking import Obedience, measure_obedience
-from op3.intervals import mean_interval, wilson_interval
 from op3.policy.bundle import MANIFEST
 from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import load_robot
 from op3.rollout import Rollout
+from op3.sample_intervals import mean_interval, wilson_interval
 from op3.sim import model_for
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, succeeded
@@ -105,7 +106,7 @@ class WithProgress(Watched):
 
     def __init__(self, policy: Any, env: BatchedEnv, steps: int):
         super().__init__(policy, env)
-        self._say, self._steps = Progress(), steps
+        self._say, self._steps = ProgressLine(), steps
 
     def act(self, observation: torch.Tensor) -> torch.Tensor:
         """The policy's action."""

@@ -29,6 +29,7 @@ from op3.settings import (
     settings,
     shown,
 )
+from op3.wandb_settings import WandbSettings
 
 
 @settings()
@@ -78,7 +79,6 @@ class Common:
     gain_scale: Positive = 1.0
     bench_timestep: Positive = 1.0
     latency_timer: Positive = 1.0
-    wandb: Literal["offline", "online", "disabled"] = "offline"
 
     @classmethod
     def of(cls, cfg: DictConfig) -> "Common":
@@ -118,6 +118,8 @@ def check(cfg: DictConfig) -> None:
         FileNotFoundError: if the model is neither a file nor a name.
     """
     Common.of(cfg)
+    if "wandb" in cfg:
+        WandbSettings.of(plain(cfg.wandb))
     for name, default in read_yaml(config_file(HydraConfig.get().job.config_name or "")).items():
         kind, wanted = KINDS.get(type(default), (object, ""))
         open_ended = isinstance(default, str) and re.match(r"\$\{|\?\?\?", default)

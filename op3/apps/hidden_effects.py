@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from op3.apps.job import CommandResult, command_of_run, goes_on
+from op3.apps.command_result import CommandResult
+from op3.apps.job import command_of_run, goes_on
 from op3.apps.support import output_folder
 from op3.report import run_provenance, write_result
 from op3.report.naming_page import naming_page

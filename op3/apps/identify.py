@@ -17,13 +17,14 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.support import focus_joints, logs_where, output_folder, reported, run_folder
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import chosen_model
-from op3.identify.settings import read_settings, search_space_of
+from op3.identify.study_settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
 from op3.report.identification_page import report_identification
 from op3.rollout import Rollout, read_logs
@@ -149,7 +150,8 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
         storage=str(folder / f"study_without_{name}.journal"),
         study_name=f"without_{name}",
     )
-    return identification.finish(settings.run(identification.evaluate), **cfg.refine)
+    study = settings.run(identification.evaluate, identity=identification.identity)
+    return identification.finish(study, **cfg.refine)
 
 
 def duration(started: datetime, study: optuna.Study) -> float:
@@ -196,4 +198,4 @@ def main(cfg: DictConfig) -> Any:
         )
         return reported(Identified, values, model=fit.model)
 
-    return sweep_or_report(cfg, identification.evaluate, report)
+    return sweep_or_report(cfg, identification.evaluate, report, identity=identification.identity)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import CommandResult
 from op3.apps.support import output_folder
 from op3.private import masked
 from op3.rollout import LogError, Rollout

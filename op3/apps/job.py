@@ -7,7 +7,6 @@ import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -21,7 +20,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check
+from op3.apps.search import search
 from op3.apps.sentences import as_sentence
 from op3.command_help import COMMANDS, config_file
 from op3.identify.registration import register
@@ -30,34 +31,6 @@ from op3.private import CLAIMED, masked, scrub
 
 NOTHING_KEPT = "Nothing goes on from here: run it again."
 """What is said after Ctrl-C of commands that keep nothing."""
-
-
-@dataclass(frozen=True)
-class CommandResult:
-    """What a command has to say in the end.
-
-    Attributes:
-        folder: of the run.
-        headline: the result in a sentence or two, with units.
-        numbers: the same by dotted key, as in ``result.yaml``.
-        objective: what a sweep of the command optimises.
-        files: that the command ends with; None: page and numbers, where they are there.
-    """
-
-    folder: Path
-    headline: str
-    numbers: Mapping[str, Any] = field(default_factory=dict)
-    objective: float | None = None
-    files: tuple[Path, ...] | None = None
-
-    def __str__(self) -> str:
-        """The headline, up to five key numbers, and the paths: a command's last lines."""
-        key_numbers = [f"  {line}" for line in self.numbers.get("key_numbers", ())]
-        files = self.files
-        if files is None:
-            usual = (self.folder / "index.html", self.folder / "result.yaml")
-            files = tuple(path for path in usual if path.is_file())
-        return "\n".join([self.headline, *key_numbers, *map(str, files)])
 
 
 class Job:
@@ -80,7 +53,7 @@ class Job:
             if hasattr(module, "sweep_or_report"):  # its main is a study
                 result = module.main(cfg)
             else:
-                result = _search()(module.main, cfg) if searched() else module.main(cfg)
+                result = search(module.main, cfg) if searched() else module.main(cfg)
             if not isinstance(result, CommandResult):
                 return result  # of a population that the sweeper asked for
             print(result, flush=True)
@@ -89,15 +62,9 @@ class Job:
 
 def searched() -> bool:
     """Whether this process works for a study over a command's settings."""
-    hydra = HydraConfig.get()
+    hydra: Any = HydraConfig.get()
     target = OmegaConf.select(hydra, "sweeper._target_")
     return hydra.mode == RunMode.MULTIRUN and target == PopulationSweeperConf._target_
-
-
-def _search() -> Any:
-    from op3.apps.search import search  # which needs this module
-
-    return search
 
 
 @contextmanager

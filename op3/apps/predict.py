@@ -13,8 +13,9 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.support import focus_joints, logs_where, reported, run_folder
 from op3.identify.prediction_score import PredictionScore, predict_logs
 from op3.report.prediction_page import report_prediction

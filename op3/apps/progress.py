@@ -8,7 +8,7 @@ LINE_SECONDS = 10.0
 """Least time between two lines of progress in a file [s]."""
 
 
-class Progress:
+class ProgressLine:
     """Shows progress on standard error: one line that is written over on a terminal, a line now and then in a file."""
 
     def __init__(self) -> None:

@@ -18,12 +18,13 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
 from op3.apps.fields import plain
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.stages import Stages
-from op3.apps.support import ASKED, check_same, output_folder, remember, reported, run_folder
-from op3.identify.episodes import ended_by, that_count
+from op3.apps.support import output_folder, reported, run_folder
+from op3.identify.failed_episodes import ended_by, that_count
 from op3.identify.identification import PREFIX
 from op3.identify.reidentification import Reidentification
 from op3.identify.search_space import parse_search_space
@@ -132,7 +133,7 @@ def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
             "diagnose=true is for a single run: run diagnose.py once, and give its model.yaml as model= to all of these"
         )
     logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
-    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb)
+    made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb.mode)
     return str(made / "model.yaml")
 
 
@@ -143,10 +144,6 @@ def main(cfg: DictConfig) -> Any:
     if cfg.diagnose:
         cfg.model = diagnosed_model(cfg, folder)
     problem = build(cfg)
-    if cfg.population is None:
-        what = {"objectives": problem.identity, "parameters": ", ".join(problem.names)}
-        check_same(folder / ASKED, what)
-        remember(folder / ASKED, what)
 
     def report(study: optuna.Study) -> ReidentifiedModel:
         found = replace(problem.finish(study, cfg.finalists), start_name=cfg.start_name)
@@ -165,4 +162,4 @@ def main(cfg: DictConfig) -> Any:
         bounds = {name: (space[PREFIX + name].low, space[PREFIX + name].high) for name in problem.names}
         return problem.propose(count, bounds, seed=cfg.seed)
 
-    return sweep_or_report(cfg, problem.evaluate, report, propose)
+    return sweep_or_report(cfg, problem.evaluate, report, propose, {"objectives": problem.identity})

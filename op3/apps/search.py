@@ -8,7 +8,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from op3.apps.job import CommandResult
+from op3.apps.command_result import CommandResult
 
 
 def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
@@ -32,7 +32,7 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
         return [_trial(main, cfg, values, folder / f"{number}") for number, values in enumerate(population)]
 
     found = sweep_or_report(cfg, evaluate)
-    if isinstance(found, list):
+    if OmegaConf.select(cfg, "population") is not None:
         return found
     best = ", ".join(f"{name}={value:.4g}" for name, value in (found["best_params"] or {}).items())
     headline = f"The best of {found['n_trials']} runs gives {found['best_value']:.4g}: {best}."

@@ -18,16 +18,17 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.collect import collect, exit_code
+from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
 from op3.apps.evaluate import evaluate
 from op3.apps.fields import plain, positive
 from op3.apps.identify import identify
-from op3.apps.job import CommandResult, configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
 from op3.apps.support import ASKED, check_same, library_motion, output_folder, provenance, remember
 from op3.apps.train import train
-from op3.identify.episodes import ended_by, that_count
+from op3.identify.failed_episodes import ended_by, that_count
 from op3.policy import PolicyBundle
 from op3.report import RunFolder, read_result
 from op3.report.transfer_page import Learned, Transfer, report_transfers

@@ -16,7 +16,7 @@ from typing import Any, TextIO
 import yaml
 
 from op3.apps.collect import collect
-from op3.apps.job import CommandResult
+from op3.apps.command_result import CommandResult
 from op3.apps.progress import LINE_SECONDS
 from op3.apps.support import check_same, remember
 from op3.rollout.files import write_text

@@ -1,7 +1,7 @@
 """What several commands do: the run's folder, settings that a folder was begun with, logs and motions by name."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -11,14 +11,16 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain
-from op3.apps.job import CommandResult, command_of_run, composed, override
+from op3.apps.job import command_of_run, composed, override
 from op3.assets import find_model, named_configs
 from op3.private import scrub
 from op3.robot import DEFAULT, Motion
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
 from op3.settings import nearest
+from op3.wandb_settings import WandbSettings
 
 if TYPE_CHECKING:
     from op3.report import RunFolder
@@ -117,10 +119,18 @@ def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
         folder,
         provenance(cfg, given.get("data")),
         plain(cfg),
-        cfg.get("wandb", "disabled"),
+        wandb_of(cfg),
         used=[*used, *model_artifact(cfg)],
         made=[(kind, folder / name) for kind, name in made.items()],
     )
+
+
+def wandb_of(cfg: DictConfig) -> WandbSettings:
+    """How the run is logged: its name is, unless given, what was run and the seed, such as ``balance-s0``."""
+    wandb = WandbSettings.of(plain(cfg.get("wandb", "disabled")))
+    choices = HydraConfig.get().runtime.choices
+    what = choices.get("task") if "train" in HydraConfig.get().job.name else HydraConfig.get().job.name
+    return wandb if wandb.name else replace(wandb, name=f"{what}-s{cfg.get('seed', 0)}")
 
 
 def provenance(cfg: DictConfig, data: Any = None) -> dict[str, Any]:

@@ -20,10 +20,11 @@ from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 
+from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, whole
-from op3.apps.job import CommandResult, configured, overrides_of
+from op3.apps.job import configured, overrides_of
 from op3.apps.sentences import no_such
-from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported
+from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported, wandb_of
 from op3.assets import named_configs
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
@@ -229,7 +230,7 @@ def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
     choices = begun.pop("choices")
     before = OmegaConf.create({**begun, "resume": cfg.resume})
     for name, value in by_name(hydra_config.overrides.task).items():
-        if name in choices:
+        if name in choices and name != "wandb":
             if value != choices[name]:
                 raise ValueError(f"{name}={value}: the run in {folder} has {name}={choices[name]}; leave it out")
         else:
@@ -268,8 +269,7 @@ def main(cfg: DictConfig) -> Trained:
     def judged(policy: Any, seed: int = cfg.evaluation.seed) -> dict[str, float]:
         return evaluate(judge, policy, seed, judge_task.steps)
 
-    mode = cfg.wandb
-    with RunLogger(folder, config=plain(cfg), mode=mode) as logger:
+    with RunLogger(folder, config=plain(cfg), wandb=wandb_of(cfg)) as logger:
         progress = run_training(
             algorithm,
             training,

@@ -3,6 +3,7 @@
 python experiments/view.py what=<log> [model=<model.yaml>]             # measured, and the model's prediction as a ghost
 python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
 python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands solid, the model as a ghost
+python experiments/view.py what=<robot.yaml>                           # a robot file: a multisine on the stand
 python experiments/view.py what=<run of diagnose.py>                   # measured, before and after what was named
 python experiments/view.py what=<log> out=film.mp4                     # or out=log.rrd, out=rerun
 python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as a ghost
@@ -29,9 +30,11 @@ from op3.report.frames import RenderError
 from op3.report.live import stretches, told
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
-from op3.report.view import RATE, pictures, window
-from op3.robot import squat
+from op3.report.viewer import RATE, pictures, window
+from op3.robot import load_robot, multisine, squat
+from op3.robot.robot_file import FORMAT as ROBOT_FORMAT
 from op3.rollout import Rollout, read_logs
+from op3.settings import read_yaml
 from op3.sim import load_model, model_for
 from op3.tasks import Replay, simulate_motion
 from op3.tasks.task import POLICY_PERIOD, find_task
@@ -90,6 +93,14 @@ def of_model(cfg: DictConfig) -> Tracks:
     return Tracks({"commanded": Rollout.from_arrays(commanded, log.metadata), "simulated": log}, scene_of(log))
 
 
+def of_robot(cfg: DictConfig) -> Tracks:
+    """A motion of a robot on the stand: its commands, and what a model of its servos makes of them as a ghost."""
+    robot = load_robot(cfg.what)
+    log = simulate_motion(model_for(robot, cfg.model), multisine(duration=6.0, robot=robot.reference), mount="stand")
+    told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
+    return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))
+
+
 def tracks_of(cfg: DictConfig) -> Tracks:
     """What is to be shown, by what it is."""
     path = here_or_shipped(cfg.what)
@@ -101,6 +112,8 @@ def tracks_of(cfg: DictConfig) -> Tracks:
     if not path.exists() and cfg.what not in model_names():
         wanted = "a log, a policy bundle, a model.yaml, a name in conf/servo or the run of a diagnosis"
         raise ValueError(f"what={cfg.what}: there is no such file or folder; give {wanted}")
+    if path.is_file() and path.suffix in (".yaml", ".yml") and read_yaml(path).get("format") == ROBOT_FORMAT:
+        return of_robot(cfg)
     is_model = path.suffix in (".yaml", ".yml") or not path.exists() or (path / "model.yaml").is_file()
     return of_model(cfg) if is_model else of_log(cfg)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from op3.envs.traces import SKIPPED, Traces, swings
+from op3.envs.step_traces import SKIPPED, Traces, swings
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from op3.envs.actors import Actor
 from op3.envs.gait_validity import GaitValidity, judged_episodes
 from op3.envs.record import record_episodes
 from op3.envs.tracking import AXES, measure_obedience
-from op3.intervals import wilson_interval
 from op3.policy import PolicyBundle
 from op3.policy.card import Card
 from op3.robot import load_robot
 from op3.rollout import Rollout
+from op3.sample_intervals import wilson_interval
 from op3.servo import Parameter, RobotModel, catalogue
 from op3.settings import Named, Number, Positive, nearest, settings
 from op3.tasks.evaluation import succeeded

@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from op3.deploy.protocol import ALERT, Instruction, Parser, fast_answers
 from op3.deploy.registers import DYNAMIXEL_X, FIRST_INDIRECT_ADDRESS, OPEN_CR, OPEN_CR_ID, Register, Units
+from op3.deploy.robot_state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, State
 from op3.deploy.serial_port import SerialPort
-from op3.deploy.state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, State
 from op3.deploy.ticker import Clock
 from op3.robot import DEFAULT, Robot, load_robot
 

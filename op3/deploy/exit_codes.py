@@ -47,6 +47,8 @@ class ExitCode(IntEnum):
     """An unexpected error, printed above."""
     SELF_COLLISION = 31
     """Parts of the robot were about to collide, by its measured or its commanded angles."""
+    TORQUE_LOST = 32
+    """No current follows a servo's goal: another program switched its torque off, or its motor is broken."""
     NOT_VERIFIED = 40
     """Torque off could not be read back from every servo: switch the power off by hand."""
     REPLAY = 50

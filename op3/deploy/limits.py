@@ -15,7 +15,7 @@ from pydantic import Field
 
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.registers import DYNAMIXEL_X, Units
-from op3.deploy.state import State
+from op3.deploy.robot_state import State
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD

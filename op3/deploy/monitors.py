@@ -9,7 +9,7 @@ import numpy as np
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.registers import HardwareError, Units
-from op3.deploy.state import State
+from op3.deploy.robot_state import State
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import Gap, SelfCollision

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
 from op3.deploy.registers import Units
-from op3.deploy.state import State
+from op3.deploy.robot_state import State
 from op3.deploy.ticker import PERIOD, Ticker
 from op3.robot import Robot
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.limits import Command
-from op3.deploy.state import State
+from op3.deploy.robot_state import State
 from op3.deploy.ticker import PERIOD
 from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import Motion, load_robot

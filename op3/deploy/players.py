@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from op3.deploy.deploy import EMULATED, POLICY_RATE, Plan, connect, run
+from op3.deploy.connection import EMULATED, POLICY_RATE, Plan, connect, run
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
 from op3.deploy.phases import FollowMotion

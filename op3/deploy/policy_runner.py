@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.commands import STANDING, CommandSource
+from op3.deploy.command_sources import STANDING, CommandSource
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
 from op3.deploy.phases import Phase
-from op3.deploy.state import State
+from op3.deploy.robot_state import State
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.actions import GAIN_HIGH

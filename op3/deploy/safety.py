@@ -14,14 +14,24 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.deploy.dynamixel_bus import ATTEMPTS, FIRST_ANSWER, GAP, SLOW_ANSWER, Bus, BusError, Unplugged, Writer
+from op3.deploy.dynamixel_bus import (
+    ATTEMPTS,
+    FIRST_ANSWER,
+    GAP,
+    SLOW_ANSWER,
+    Bus,
+    BusError,
+    NoAnswer,
+    Unplugged,
+    Writer,
+)
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, Verdict
 from op3.deploy.operator import told
 from op3.deploy.registers import CURRENT_MODE, WATCHDOG_UNIT
+from op3.deploy.robot_state import State
 from op3.deploy.start_checks import StartChecks
-from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick
 
 WATCHDOG = 5
@@ -35,6 +45,15 @@ RELEASE_WRITES = 3
 
 RELEASE_PATIENCE = 5.0
 """How long torque off is tried on a silent bus [s]."""
+
+ASKED = 40
+"""Goal current that a current must follow [counts]."""
+
+LET_GO = 5
+"""After so many ticks without a current the servo's torque is read back."""
+
+SILENT = 25
+"""After so many the run ends though its torque is on."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +155,7 @@ class Safety(Onlooker):
         self._damped = False
         self._written = np.zeros(len(bus.joints), dtype=np.int64)
         self._write_time: float | None = None
+        self._without = np.zeros(len(bus.joints), dtype=np.int64)
 
     @property
     def load(self) -> NDArray[np.float64]:
@@ -219,7 +239,33 @@ class Safety(Onlooker):
         if self.torque and self._damped and not verdict.damp:
             self._check_torque()
         self._damped = verdict.damp
+        if self.torque:
+            self._check_letting_go(state)
         return verdict
+
+    def _check_letting_go(self, state: State) -> None:
+        """A servo whose torque another program switches off answers as before, and no current follows its goal.
+
+        One that turns fast has little voltage left for a current, so it is not judged.
+        """
+        slow = np.abs(state.velocity) < 0.5 * self.bus.robot.speed_limits
+        asked = state.answered & slow & (np.abs(self._written) >= ASKED)
+        without = asked & (np.abs(state.raw["current"]) < 0.1 * np.abs(self._written))
+        self._without = np.where(without, self._without + 1, 0)
+        if not (self._without >= LET_GO).any():
+            return
+        joint = self._joints[int(self._without.argmax())]
+        ticks = int(self._without.max())
+        goal = abs(int(self._written[int(self._without.argmax())]))
+        said = f"{joint} gives no current for {ticks} ticks, where {goal} counts are asked for"
+        off = False
+        with suppress(NoAnswer):
+            off = ticks % LET_GO == 0 and not self.bus.read(joint, "torque_enable", attempts=1)
+        if off:
+            reason = f"torque of {joint} was switched off by another program: {said}; end that program"
+            raise Stop(ExitCode.TORQUE_LOST, reason)
+        if ticks >= SILENT:
+            raise Stop(ExitCode.TORQUE_LOST, f"{said}, though its torque is on; look at its motor and its driver")
 
     def _check_gap(self) -> None:
         """A computer that was held up too long finds servos that ignore its goals until they are switched on anew."""

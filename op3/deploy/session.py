@@ -26,8 +26,8 @@ from op3.deploy.limits import Command
 from op3.deploy.monitors import Verdict
 from op3.deploy.operator import Operator, told
 from op3.deploy.phases import Phase
+from op3.deploy.robot_state import State
 from op3.deploy.safety import Onlooker, Release
-from op3.deploy.state import State
 from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
 from op3.rollout import LogError, Metadata, Recorder, Rollout
 

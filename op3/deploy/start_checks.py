@@ -12,10 +12,10 @@ import numpy as np
 from op3.deploy.dynamixel_bus import BOARD, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
 from op3.deploy.limits import Limits
 from op3.deploy.registers import OPEN_CR_MODEL, HardwareError
-from op3.deploy.state import State
+from op3.deploy.robot_state import State
 from op3.doctor import ADAPTERS, LATENCY, latency_timer
+from op3.robot.register_units import VOLTAGE_UNIT
 from op3.robot.self_collision import SelfCollision
-from op3.robot.units import VOLTAGE_UNIT
 
 POWER_UP_TIME = 0.5
 """How long servos take to start after their supply is switched on [s]."""

@@ -17,8 +17,10 @@ from op3.diagnose.coordinates import (
     CHAIN,
     WIDEST,
     Coordinates,
+    any_spread,
     base_coordinates,
     other_forms,
+    usual_spread,
     with_chain,
     with_own_spread,
     with_setups,
@@ -33,6 +35,9 @@ GENERATIONS, FINE, SIGMA = 50, 10, 0.2
 """Of the search: generations, the last of them in steps half as long, and the first one's standard deviation as a share
 of every range."""
 
+FACTORS = (0.25, 0.5, 2.0, 4.0)
+"""Of a servo's number on what all share, from which a fit begins where they predict better than 1."""
+
 STEPS, ELSEWHERE = 12, 4
 """Gauss-Newton steps at most of the best start, and of every start before they are compared."""
 
@@ -41,6 +46,9 @@ GEAR = (Stage.GEAR, Stage.LOAD)
 
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
+
+HELD_AT_END = 1e-3
+"""Share of a number's standard deviation that is left to it at the end of its range."""
 
 FEWEST_WINDOWS, FINALISTS = 24, 2
 """Windows on which starts settle first, at least, and starts that settle on all."""
@@ -56,12 +64,12 @@ class Base:
     Attributes:
         linear: the windows around it.
         fit: of the judge, its numbers alone.
-        others: ends of other starts, and by how much worse they are in minus two log evidence.
+        others: ends of other starts, and by how much better they are in minus two log evidence.
     """
 
     linear: Linear
     fit: Posterior
-    others: tuple[tuple[np.ndarray, float], ...] = ()
+    others: tuple["End", ...] = ()
 
     @property
     def coordinates(self) -> Coordinates:
@@ -70,8 +78,20 @@ class Base:
 
     @property
     def point(self) -> np.ndarray:
-        """Where they are."""
-        return self.linear.point
+        """Where they are: within their ranges, though the windows may be linear about a point outside."""
+        return np.clip(self.linear.point, self.coordinates.low, self.coordinates.high)
+
+    @property
+    def taken_back(self) -> np.ndarray:
+        """Which of them were outside their ranges, ``[coordinate]``."""
+        return self.point != self.linear.point
+
+    @property
+    def numbers(self) -> Numbers:
+        """Priors of steps from there; what was taken back to the end of its range stays there."""
+        numbers, held = base_numbers(self.coordinates, self.point), self.taken_back
+        deviation = np.where(held, HELD_AT_END, 1.0) * numbers.deviation
+        return replace(numbers, mean=np.where(held, 0.0, numbers.mean), deviation=deviation)
 
     @property
     def told(self) -> np.ndarray:
@@ -87,7 +107,12 @@ class Base:
 def base_numbers(coordinates: Coordinates, point: np.ndarray) -> Numbers:
     """Priors of the base's numbers as steps from a point."""
     least, most = coordinates.low - point, coordinates.high - point
-    return Numbers(coordinates.prior - point, coordinates.deviation, least=least, most=most)
+    return Numbers(coordinates.prior - point, coordinates.deviation_at(point), least=least, most=most)
+
+
+def thin_windows(reduction: Reduction) -> int:
+    """How many windows what is tried first is tried on."""
+    return max(FEWEST_WINDOWS, reduction.windows // 3)
 
 
 def fit_base(
@@ -99,21 +124,25 @@ def fit_base(
 ) -> Base:
     """Fit a model's own numbers, its servos' spread and the chain of measurement.
 
-    Starts of every structure (form of the gear's law, form of friction's, commands before or after the next reading)
-    settle on a third of the windows, the best of these on all.
+    One servo may differ from the others as far as it likes while all is fitted. In the result it differs as servos of a
+    sound robot do at most; what it differs by more is for the judge to name. Starts of every structure (form of the
+    gear's law, form of friction's, commands before or after the next reading) settle on a third of the windows, the
+    best of these on all.
     """
     lengths = reduction.engine.lengths
     full = with_chain(with_setups(model, lengths))
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
-    coordinates = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
-    thin = reduction.thinned(max(FEWEST_WINDOWS, reduction.windows // 3))
+    usual = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
+    coordinates = any_spread(usual, settings.tails)
+    thin = reduction.thinned(thin_windows(reduction))
     # another law of the gear does best with other numbers everywhere: each gets a start of its own
     gears = [full, *other_forms(full, lambda effect: effect.stage in GEAR)]
     groups = [[gear, *other_forms(gear, lambda effect: effect.stage not in GEAR)] for gear in gears]
 
     def ends() -> Iterator[Base]:
         for number, forms in enumerate(groups):
-            yield settle(thin, *search(thin, coordinates, rng, forms), settings, ELSEWHERE)
+            at, point = search(thin, coordinates, rng, forms)
+            yield settle(thin, at, apart(thin, at, point), settings, ELSEWHERE)
             progress(0.5 * (number + 1) / len(groups))
         if len(groups) == 1:
             yield settle(thin, coordinates, coordinates.start, settings, ELSEWHERE)
@@ -130,9 +159,27 @@ def fit_base(
     finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
     first, ranked = _ranked(reduction, finals, settings)
     progress(0.9)
-    others = tuple((end.point, ranked[0].gain - end.gain) for end in ranked[1:])
+    others = tuple(replace(end, gain=end.gain - ranked[0].gain) for end in ranked[1:])
     own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
-    return replace(settle(reduction, own, point, settings, state=first.fit.state), others=others)
+    free = settle(reduction, own, point, settings, state=first.fit.state)
+    return replace(as_usual(reduction, free, settings), others=others)
+
+
+def as_usual(reduction: Reduction, base: Base, settings: Settings = SETTINGS) -> Base:
+    """A base as near to another as what is expected of a sound robot's servos lets it be.
+
+    Its windows are what the other's are to first order and stay linear about the other's point, and its variances are
+    the other's: near a joint that sticks nothing linear would say how far it is off, and all that is there would be
+    noise. What all servos share stays as it is.
+    """
+    coordinates = usual_spread(base.coordinates)
+    moved = np.clip(base.point, coordinates.low, coordinates.high) - base.point
+    columns = np.moveaxis(base.linear.base, 0, 1)
+    change = np.stack([np.tensordot(moved, reduction.tamed(of_joint), 1) for of_joint in columns])
+    linear = replace(base.linear, coordinates=coordinates, lacking=base.linear.lacking - change.astype(np.float32))
+    numbers = Base(linear, base.fit).numbers
+    judge = Judge(reduction.rows(linear, ()), numbers, settings)
+    return Base(linear, judge.fit(state=base.fit.state, rounds=0 if moved.any() else 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +230,8 @@ def _near_rest(base: Base) -> Iterator[tuple[Coordinates, np.ndarray]]:
 
 
 def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """A base with commands before the next reading where they come after it, and the other way round; their currents
-    lag the more or the less.
+    """A base with commands before the next reading where they come after it, and the other way round, whose currents
+    lag the more or the less; and with commands a whole reading earlier or later.
 
     A reading shows the first of a command's current, or nothing of it yet: each has a basin.
     """
@@ -193,24 +240,29 @@ def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarra
     late, lag = at.get("command_latency"), at.get("current_time_constant")
     if late is None or lag is None:
         return
-    point, margin = base.point.copy(), CHAIN["command_latency"].spread
-    other = period - margin if point[late] > period else period + margin
-    point[lag] += point[late] - other
-    point[late] = other
-    yield coordinates, np.clip(point, coordinates.low, coordinates.high)
+    margin = CHAIN["command_latency"].spread
+    across = period - base.point[late] + (-margin if base.point[late] > period else margin)
+    for later, less in ((across, across), (period, 0.0), (-period, 0.0)):
+        point = base.point.copy()
+        point[[late, lag]] += later, -less
+        if coordinates.low[late] <= point[late] <= coordinates.high[late]:
+            yield coordinates, np.clip(point, coordinates.low, coordinates.high)
 
 
 def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
     """How much worse one base is than another in minus two log evidence, mean over the reductions of both.
 
-    Variances are each one's own: weights that a base gave to windows hide what it cannot explain.
+    Variances are each one's own: weights that a base gave to windows hide what it cannot explain. What numbers do is
+    that of the base whose reduction it is, which decides little where a fit has ended.
     """
     gap = 0.0
     for like in (one, other):
         rows = reduction.rows(like.linear, ())
         for base, sign in ((one, -1.0), (other, 1.0)):
             mine = base is like
-            linear = base.linear if mine else reduction.linearise(base.coordinates, base.point, like.linear)
+            linear = (
+                base.linear if mine else reduction.linearise(base.coordinates, base.point, like.linear, like.linear)
+            )
             judge = Judge(reduction.rows(linear, (), rows), base_numbers(base.coordinates, base.point), settings)
             gap += sign * judge.fit(state=base.fit.state).evidence
     return gap
@@ -253,7 +305,7 @@ def search(
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
             if (mine := form == number).any():
-                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs)
+                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs).sum(0)
         return cost + coordinates.penalties(whole), whole, form
 
     strategy = CatCMA(
@@ -275,14 +327,39 @@ def search(
 
 
 def _robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
-    """Cost of whitened errors by limb: what a joint misses altogether in a window counts once, so that one bad joint
-    does not decide what all share."""
-    cost = np.zeros(len(errors[0]))
+    """Cost of whitened errors by limb, ``[limb, set]``: what a joint misses altogether in a window counts once, so that
+    one bad joint does not decide what all share."""
+    costs = []
     for error, limb in zip(errors, limbs, strict=True):
         sets, windows, _ = error.shape
         square = np.square(error.reshape(sets, windows, -1, len(limb), 3), dtype=np.float64).mean((2, 4))
-        cost += np.log1p(square).sum((1, 2))
-    return cost
+        costs.append(np.log1p(square).sum((1, 2)))
+    return np.array(costs)
+
+
+def apart(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
+    """A point with the numbers of one servo after another where its limb is predicted best: as they are, or one of them
+    many times larger or smaller.
+
+    A joint that sticks where it should move has no gradient that says so, and a fit would leave it to noise.
+    """
+    numbers: dict[int, dict[str, int]] = {}
+    for i, entry in enumerate(coordinates.entries):
+        if entry.of_servo:
+            numbers.setdefault(entry.joints[0], {})[entry.parameter] = i  # type: ignore[index]
+    tried = [(name, factor) for name in next(iter(numbers.values()), {}) for factor in FACTORS]
+    for slot in range(max(map(len, reduction.limbs)) if numbers else 0):
+        joints = [int(limb[slot]) for limb in reduction.limbs if slot < len(limb) and int(limb[slot]) in numbers]
+        points = np.tile(point, (len(tried) + 1, 1))  # the first as it is
+        alone = {joint: points.copy() for joint in joints}
+        for joint in joints:
+            for row, (name, factor) in enumerate(tried, 1):
+                points[row, numbers[joint][name]] = alone[joint][row, numbers[joint][name]] = factor - 1.0
+        costs = _robust(reduction.at(coordinates, points), reduction.limbs)
+        for joint in joints:  # limbs do not feel each other
+            best = int((costs[reduction.limb_of[joint]] + coordinates.penalties(alone[joint])).argmin())
+            point = np.where(alone[joint][best] != alone[joint][0], alone[joint][best], point)
+    return point
 
 
 def settle(

@@ -8,7 +8,7 @@ from math import isclose, pi, remainder
 import numpy as np
 from torch import Tensor
 
-from op3.diagnose.coordinates import CHAIN, Coordinate, other_forms
+from op3.diagnose.coordinates import CHAIN, WIDEST, Coordinate, other_forms
 from op3.diagnose.settings import Settings
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
@@ -98,14 +98,16 @@ class Candidate:
     def reach(self, base: RobotModel, settings: Settings) -> tuple[float, float, float]:
         """Lowest and highest plausible share of the secant, and the slab's standard deviation.
 
-        Plausible is what the catalogue's range says of a fault: more than a sound robot has, as far as physics allows.
+        Plausible is what the catalogue's range says of a fault: more than a sound robot has, as far as physics allows;
+        of what the base has, too, a joint may have many times what the others have.
         """
         known = parameter(self.sized)
         amount = self.secant[known.name]
         span, neutral = known.high - known.low, known.neutral
         if self.effect.name in base.effect_names or neutral is None:
             now = base.value(known.name) if known.name in base.parameters() else known.nominal
-            low, high, size = max(-span, known.least - now), min(span, known.most - now), span
+            most = max(span, (WIDEST - 1) * now)
+            low, high, size = max(-span, known.least - now), min(most, known.most - now), span
         else:
             low = settings.faulty * (min(known.low, neutral) - neutral)
             high = settings.faulty * (max(known.high, neutral) - neutral)

@@ -49,6 +49,7 @@ class Coordinate:
         deviation: standard deviation of that expectation.
         kind: ``value``: it is the parameter. ``add``: it is added to the parameter of its joints. ``scale``: the
             parameter of its joints is multiplied by one plus this.
+        tails: degrees of freedom of the expectation, Student's where they are finite and else normal.
     """
 
     parameter: str
@@ -59,11 +60,17 @@ class Coordinate:
     prior: float
     deviation: float = inf
     kind: str = "value"
+    tails: float = inf
 
     @property
     def shared(self) -> bool:
         """Whether it is a number of several joints."""
         return self.joints is None or len(self.joints) > 1
+
+    @property
+    def of_servo(self) -> bool:
+        """Whether it says by how much one servo differs from the others."""
+        return self.kind == "scale" and self.joints is not None
 
 
 @dataclass(frozen=True)
@@ -90,8 +97,18 @@ class Coordinates:
     deviation = property(lambda self: self._all("deviation"), doc="Standard deviations of these, ``[coordinate]``.")
 
     def penalties(self, points: np.ndarray) -> np.ndarray:
-        """Squared distance in standard deviations of points ``[candidate, coordinate]`` from what is expected."""
-        return np.square((points - self.prior) / self.deviation).sum(-1)
+        """Minus two log prior (but for constants) of points ``[candidate, coordinate]``."""
+        square, tails = np.square((points - self.prior) / self.deviation), self._all("tails")
+        heavy, result = np.isfinite(tails), square
+        result[..., heavy] = (tails[heavy] + 1) * np.log1p(square[..., heavy] / tails[heavy])
+        return result.sum(-1)
+
+    def deviation_at(self, point: np.ndarray) -> np.ndarray:
+        """Standard deviations of the normal priors that pull at a point as much as the priors do, ``[coordinate]``."""
+        square, tails = np.square((point - self.prior) / self.deviation), self._all("tails")
+        heavy, result = np.isfinite(tails), self.deviation
+        result[heavy] *= np.sqrt((tails[heavy] + square[heavy]) / (tails[heavy] + 1))
+        return result
 
     def values(self, points: np.ndarray) -> dict[str, Tensor]:
         """Parameters by name, ``[candidate, joint]``, within what physics allows.
@@ -231,7 +248,7 @@ def own_spread(found: np.ndarray, told: np.ndarray, usual: float, settings: Sett
 def with_own_spread(
     coordinates: Coordinates, point: np.ndarray, told: np.ndarray, settings: Settings
 ) -> tuple[Coordinates, np.ndarray]:
-    """Numbers of servos that differ as this robot's do.
+    """Expectations of servos that differ as this robot's do.
 
     What they have in common goes to the shared number, so that the point ``[coordinate]`` is handed back too, as the
     same base; `told` are the standard deviations of its numbers.
@@ -244,14 +261,37 @@ def with_own_spread(
             continue
         middle = float(np.median(point[own]))
         deviation = own_spread(point[own], told[own], usual, settings)
-        reach = SPREAD_LIMIT * deviation
         for i in own:
-            entries[i] = replace(entries[i], low=-reach, high=reach, deviation=deviation)
+            entries[i] = replace(entries[i], deviation=deviation)
         point[own] = (1 + point[own]) / (1 + middle) - 1
         for i in (i for i in mine if entries[i].joints is None):
             one = 0.0 if entries[i].kind == "value" else 1.0  # a factor is told as what it adds to 1
             point[i] = (one + point[i]) * (1 + middle) - one
     return replace(coordinates, entries=tuple(entries)), point
+
+
+def any_spread(coordinates: Coordinates, tails: float) -> Coordinates:
+    """Numbers of which one servo's may be far from what the others' are, so that it does not move what all share.
+
+    Args:
+        tails: degrees of freedom of Student's expectation.
+    """
+    low, high = 1 / WIDEST - 1, WIDEST - 1
+    entries = [
+        replace(entry, low=low, high=high, tails=tails) if entry.of_servo else entry for entry in coordinates.entries
+    ]
+    return replace(coordinates, entries=tuple(entries))
+
+
+def usual_spread(coordinates: Coordinates) -> Coordinates:
+    """Numbers of servos that differ as those of a sound robot do: what differs more is a fault."""
+    entries = [
+        replace(entry, low=-SPREAD_LIMIT * entry.deviation, high=SPREAD_LIMIT * entry.deviation, tails=inf)
+        if entry.of_servo
+        else entry
+        for entry in coordinates.entries
+    ]
+    return replace(coordinates, entries=tuple(entries))
 
 
 def _range(known: Parameter, value: float) -> tuple[float, float]:

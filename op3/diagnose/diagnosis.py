@@ -177,6 +177,7 @@ class Diagnosis:
             shown["loss"],
             self._chain(first.base),
             self._ranking(reduction, first),
+            ends=tuple(-end.gain for end in first.base.others),
             not_shown=not_shown(first, reduction.engine.joints),
             shown=shown,
         )
@@ -251,22 +252,22 @@ class Diagnosis:
         result, joints = [], reduction.engine.joints
         assert self.search is not None
         base, rows = stage.base, stage.judge.rows
-        for i, odds, deviation, held in unusual(given, base, stage.fit, stage.judge.numbers):
-            if odds < self.settings.alarm:
+        for one in unusual(given, base, stage.fit, stage.judge.numbers):
+            if one.log_odds < self.settings.alarm:
                 continue
-            better, usual = freed(reduction, base, i, held, self.settings)
+            better, usual = freed(reduction, base, one.number, one.held, self.settings)
             gain = Gain.of(self.search.held.score(better, rows), self.search.held.score(usual, rows))
             probability = self._probability(gain.z)
             if probability <= LIKELY:
                 continue
-            entry = base.coordinates.entries[i]
+            entry = base.coordinates.entries[one.number]
             effect = next(e for e in catalogue().values() if entry.parameter in {p.name for p in e.parameters})
             known = next(p for p in effect.parameters if p.name == entry.parameter)
-            value, half = float(base.point[i]), QUANTILE * deviation
+            value, half = float(base.point[one.number]), QUANTILE * one.deviation
             where = joints if entry.joints is None else tuple(joints[j] for j in entry.joints)
             ends = max(value - half, known.least), min(value + half, known.most)
             place = (where, entry.joints is None)
-            told = (known.name, value, known.unit, ends, probability, odds, gain)
+            told = (known.name, value, known.unit, ends, probability, one.log_odds, gain)
             result.append(Finding(effect.name, *place, *told, of_base=True))
         return result
 

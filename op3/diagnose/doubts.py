@@ -5,7 +5,7 @@ is a number of the chain of measurement that is far from what is usual.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,9 +61,9 @@ def doubts(base: Base) -> tuple[str, ...]:
         end = "lower" if value - entry.low < entry.high - value else "upper"
         unit = known[split_name(entry.parameter)[0]].unit
         result.append(f"{entry.parameter} hit its {end} bound ({value:.3g} {unit})".replace(" -)", ")"))
-    for point, gap in base.others:
-        if gap < SAME_OPTIMUM and (far := far_apart(base.coordinates, point, base.point)):
-            apart = f"{gap:.1f} apart in -2 log evidence"
+    for end in base.others:
+        if -end.gain < SAME_OPTIMUM and (far := far_apart(base.coordinates, end.point, base.point)):
+            apart = f"{-end.gain:.1f} apart in -2 log evidence"
             result.append(f"another start ends as well ({apart}) with other {', '.join(far)}")
     return tuple(result)
 
@@ -81,11 +81,27 @@ def untold(base: Base) -> list[str]:
     return [entry.parameter for entry, share in both if entry.joints is None and share > UNTOLD]
 
 
+@dataclass(frozen=True)
+class Unusual:
+    """How far from what is usual a number of the chain of measurement is.
+
+    Attributes:
+        number: of the base's coordinate.
+        log_odds: against its being usual, or what the given model says.
+        deviation: standard deviation of what the logs say of it.
+        held: the coordinate if it were usual.
+    """
+
+    number: int
+    log_odds: float
+    deviation: float
+    held: Coordinate
+
+
 def unusual(
     given: RobotModel, base: Base, fit: Posterior, numbers: Numbers, settings: Settings = SETTINGS
-) -> list[tuple[int, float, float, Coordinate]]:
-    """Log odds of the chain's numbers against being usual, or what the given model says; which, how well told, and what
-    each would be if it were usual.
+) -> list[Unusual]:
+    """How far each of the chain's numbers is from what is usual, or from what the given model says.
 
     A number that every servo has for itself is usual where it differs no more than those of this robot's others. One
     that all share is judged by the base alone, as candidates of many joints, each there a little, imitate it together.
@@ -107,7 +123,7 @@ def unusual(
             slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
             spike = evidence(linear[i], curvature[i], usual, np.array(spread))
             held = replace(entry, prior=expected, deviation=spread)
-            found.append((i, float(slab - spike), float(deviation), held))
+            found.append(Unusual(i, float(slab - spike), float(deviation), held))
     return found
 
 

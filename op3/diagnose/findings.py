@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from op3.diagnose.base import ELSEWHERE, Base, base_numbers, settle
+from op3.diagnose.base import ELSEWHERE, Base, base_numbers, settle, thin_windows
 from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
-from op3.diagnose.doubts import AT_BOUND, at_bound, opened
+from op3.diagnose.doubts import at_bound, opened
 from op3.diagnose.held_out import Gain, HeldOut, Score
 from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, log_mass
 from op3.diagnose.reduction import Reduction
@@ -27,12 +27,6 @@ RELINEARISED = 60
 
 ALIKE = 0.7
 """Correlation over runs and joints from which on two gains are gains on the same."""
-
-GIVEN_UP = 10.0
-"""Times the usual noise from which on a baseline leaves a joint's torques to noise."""
-
-BEYOND = (0.2, 0.6)
-"""Shares of what is plausible from which a fault is refitted whose size nothing linear shows."""
 
 NOTHING = 1e-6
 """Torque below which a candidate does nothing here [units]."""
@@ -72,6 +66,30 @@ class Refit:
     base: Base
     number: int
     coordinates: tuple[Coordinate, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A refit beside the model without it.
+
+    Attributes:
+        refit: what was fitted.
+        candidate: what it is of.
+        score: of runs that were left out.
+        gain: on the model without it.
+        relevance: what it does.
+    """
+
+    refit: Refit
+    candidate: Candidate
+    score: Score
+    gain: Gain
+    relevance: Relevance
+
+    @property
+    def evidence(self) -> float:
+        """What fitted windows and runs that were left out say together."""
+        return self.refit.log_odds + self.gain.mean * self.gain.runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +156,7 @@ def numbers_of(
     one place share it, and the place's prior. Parts are keys of candidates in one joint or in all, of which the others
     are sums.
     """
-    own, number = base_numbers(base.coordinates, base.point), {key: i for i, key in enumerate(parts)}
+    own, number = base.numbers, {key: i for i, key in enumerate(parts)}
     model = base.model
     low, high, slab = np.array([one.reach(model, settings) for one in found]).reshape(-1, 3).T
     size = _torques(rows, len(base.point), len(parts))
@@ -188,13 +206,15 @@ class Search:
     ):
         self.reduction, self.without, self.settings = reduction, tuple(without), settings
         self.progress = progress
-        self.held = HeldOut(reduction)
-        self.considered: list[tuple[Candidate, float, Gain, Relevance]] = []
+        self.held, self.thin = HeldOut(reduction), reduction.thinned(thin_windows(reduction))
+        self.considered: list[Judged] = []
 
     def first(self, base: Base) -> Stage:
         """The judge around a base with nothing named."""
         found = self._candidates(base)
         columns = self._columns(base, parts_of(found), lambda share: self.progress(0.4 * share))
+        if base.taken_back.any():  # all that a bad joint does would be noise
+            return self._stage(base, (), found, columns, base.fit.state, 0)
         return self._stage(base, (), found, columns, None)
 
     def _candidates(self, base: Base, named: Sequence[Named] = ()) -> tuple[Candidate, ...]:
@@ -249,7 +269,7 @@ class Search:
         """The stage with one more effect named; None where none is worth it."""
         odds, shared = stage.judge.scores(stage.fit), self.shared(stage)
         leaders = self.leaders(stage, odds, stage.fit.state)
-        if (named := self._name(stage, [*shared, *leaders, *self._beyond_limits(stage)])) is not None:
+        if (named := self._name(stage, [*shared, *leaders])) is not None:
             return named
         # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
         # and begin anew with it, so that windows which it explains count again
@@ -273,7 +293,7 @@ class Search:
         ranked = sorted(
             ((float(np.asarray(logsumexp(odds[mine]))), mine[:STARTS]) for mine in secants.values()), reverse=True
         )
-        if not ranked or ranked[0][0] < s.alarm - s.family:
+        if not ranked or ranked[0][0] < 0.0:
             return []
         rounds = 2 if state else 6
         control, own = judge.fit(state=state, rounds=rounds), len(stage.base.point)
@@ -295,53 +315,39 @@ class Search:
         kept = {*first, *[place for place in places[MOST:] if place in behind][:MOST]}
         return [one for _, one in estimates if stage.found[one.number].place in kept]
 
-    def _beyond_limits(self, stage: Stage) -> list[Proposal]:
-        """Faults of servos that differ as far from the others as the baseline lets them, or whose torques it leaves to
-        noise: windows of such a joint are so far off that nothing linear there shows how far."""
-        base, found, judged = stage.base, [], self.reduction.judged.tolist()
-        given_up = stage.fit.state.noise[:, 0] > GIVEN_UP * self.settings.noise
-        for entry, value in zip(base.coordinates.entries, base.point, strict=True):
-            if entry.kind != "scale" or entry.joints is None:
-                continue
-            reach = AT_BOUND * (entry.high - entry.low)
-            low, high = value - entry.low < reach, entry.high - value < reach
-            if not (low or high or given_up[judged.index(entry.joints[0])]):
-                continue
-            for number, one in enumerate(stage.found):
-                own = {entry.parameter} & {one.effect.name, *(p.name for p in one.effect.parameters)}
-                if one.joints == entry.joints and own:
-                    ends = stage.judge.numbers.low if low else stage.judge.numbers.high
-                    starts = [share * float(ends[number]) for share in BEYOND]
-                    found += [Proposal(number, np.zeros(len(base.point)), start, stage.fit.state) for start in starts]
-        return found
-
     def shared(self, stage: Stage) -> list[Proposal]:
-        """Candidates of all joints that are above the alarm once the base has taken a step with them, best first.
+        """Candidates of all joints that are evident once the base has taken a step with them, best first.
 
         Numbers that all joints share take such an effect's place as far as they can, and where they have, nothing that
-        is linear there tells it from them.
+        is linear there tells it from them. That shows on a third of the windows, with the secant of each form that the
+        judge prefers.
         """
-        base, found = stage.base, []
-        rows = self.reduction.rows(base.linear, ())
+        base, thin, odds = stage.base, self.thin, stage.judge.scores(stage.fit)
+        here = settle(thin, base.coordinates, base.point, self.settings, steps=0)
+        rows = thin.rows(here.linear, ())
 
         def step(joined: Coordinates, point: np.ndarray) -> tuple[Base, float]:
-            end = settle(self.reduction, joined, point, self.settings, steps=1, state=base.fit.state, like=base.linear)
-            its = self.reduction.rows(end.linear, (), rows)
-            judge = Judge(its, base_numbers(joined, end.point), self.settings)
+            end = settle(thin, joined, point, self.settings, steps=1, state=here.fit.state, like=here.linear)
+            judge = Judge(thin.rows(end.linear, (), rows), base_numbers(joined, end.point), self.settings)
             return end, judge.fit(state=end.fit.state, rounds=2).evidence
 
         _, without = step(base.coordinates, base.point)
-        for number, one in enumerate(stage.found):
-            if one.joints is None and np.isfinite(stage.judge.numbers.place[number]):
-                joined = self._joined(stage, number, 1.0)
-                end, evident = step(joined, np.concatenate([base.point, joined.start[len(base.point) :]]))
-                self.reduction.forget()
-                gain = evident - without + self._prior(stage, number, joined)
-                size = float(end.point[len(base.point)]) / one.secant[one.sized]
-                moved = end.point[: len(base.point)] - base.point
-                found.append((gain, Proposal(number, moved, size, end.fit.state)))
-        found.sort(key=lambda one: -one[0])
-        return [one for gain, one in found if gain > self.settings.alarm - self.settings.family][:MOST]
+        best: dict[tuple, int] = {}
+        for number in np.argsort(odds).tolist():
+            candidate = stage.found[number]
+            if candidate.joints is None and np.isfinite(odds[number]):
+                best[candidate.effect.name, repr(candidate.model.effect(candidate.effect.name))] = number
+        proposed: list[tuple[float, Proposal]] = []
+        for number in best.values():
+            joined, candidate = self._joined(stage, number, 1.0), stage.found[number]
+            end, evident = step(joined, np.concatenate([base.point, joined.start[len(base.point) :]]))
+            thin.forget()
+            gain = evident - without + self._prior(stage, number, joined)
+            size = float(end.point[len(base.point)]) / candidate.secant[candidate.sized]
+            moved = end.point[: len(base.point)] - base.point
+            proposed.append((gain, Proposal(number, moved, size, stage.fit.state)))
+        proposed.sort(key=lambda one: -one[0])
+        return [one for gain, one in proposed if gain > 0.0][:MOST]
 
     def _joined(self, stage: Stage, number: int, share: float) -> Coordinates:
         """The base's numbers and a candidate's, which begin at a share of its secant."""
@@ -370,30 +376,31 @@ class Search:
         if not proposals:
             return None
         refits, control = self._refitted(stage, proposals)
-        rows, own = stage.judge.rows, len(stage.base.point)
-        without = max(
-            (self.held.score(base, rows) for base in (stage.base, control)), key=lambda one: one.density.sum()
-        )
-        judged: list[tuple[Gain, Score, Refit, Relevance]] = []
-        for one in refits:
-            score = self.held.score(one.base, rows)
-            its = self.reduction.rows(one.base.linear, (), rows)
-            does = relevance(self.reduction, one.base, own, its, self.settings)
-            gain = Gain.of(score, without)
-            self.considered.append((stage.found[one.number], one.log_odds, gain, does))
-            if self.good(gain) and does.matters and one.log_odds > self.settings.alarm:
-                judged.append((gain, score, one, does))
-        if not judged:
+        rows = stage.judge.rows
+        scores = (self.held.score(base, rows) for base in (stage.base, control))
+        without = max(scores, key=lambda one: one.density.sum())
+        judged = [self._judged(stage, refit, without) for refit in refits]
+        self.considered += judged
+        alarm = self.settings.alarm
+        passed = [o for o in judged if self.good(o.gain) and o.relevance.matters and o.refit.log_odds > alarm]
+        if not passed:
             return None
-        # what fitted windows and runs that were left out say together
-        gain, score, best, does = max(judged, key=lambda one: one[2].log_odds + one[0].mean * one[0].runs)
-        rivals = []
-        for _, its, one, _ in judged:
-            behind = Gain.of(score, its)
-            if one is not best and not self.good(behind) and _alike(score, its, without):
-                rivals.append(Rival(stage.found[one.number], behind))
-        named = Named(stage.found[best.number], best.coordinates, best.log_odds, gain, does, tuple(rivals))
-        return self._around(stage, best.base, (*stage.named, named))
+        best = max(passed, key=lambda one: one.evidence)
+        alike = [one for one in passed if one is not best and _alike(best.score, one.score, without)]
+        behind = [Rival(one.candidate, Gain.of(best.score, one.score)) for one in alike]
+        rivals = tuple(rival for rival in behind if not self.good(rival.behind))
+        named = Named(best.candidate, best.refit.coordinates, best.refit.log_odds, best.gain, best.relevance, rivals)
+        return self._around(stage, best.refit.base, (*stage.named, named))
+
+    def _judged(self, stage: Stage, refit: Refit, without: Score) -> Judged:
+        """A refit beside the model without it; what it does is held against what named effects of its family do."""
+        candidate, base, rows = stage.found[refit.number], refit.base, stage.judge.rows
+        related = [one for one in stage.named if candidate.effect.related({one.candidate.effect.name})]
+        relatives = [base.coordinates.entries.index(one.coordinates[0]) for one in related]
+        its = self.reduction.rows(base.linear, (), rows)
+        does = relevance(self.reduction, base, len(stage.base.point), its, self.settings, relatives)
+        score = self.held.score(base, rows)
+        return Judged(refit, candidate, score, Gain.of(score, without), does)
 
     def with_best(self, stage: Stage, proposals: Sequence[Proposal]) -> Stage:
         """The stage with the most evident of proposals named, whether or not runs that were left out bear it out."""

@@ -19,7 +19,7 @@ from scipy import linalg, sparse
 from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
-from op3.diagnose.coordinates import Coordinate, Coordinates
+from op3.diagnose.coordinates import SPREAD_LIMIT, Coordinate, Coordinates
 from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
 from op3.diagnose.rates import ESTIMATE, RATES, filtered, read, rounding
@@ -165,7 +165,7 @@ class Reduction:
         known = {} if moved_as is None else dict(zip(moved_as.coordinates.entries, moved_as.base, strict=True))
         entries = coordinates.entries
         groups = [group for group in self._together(entries) if entries[group[0]] not in known]
-        span = coordinates.high - coordinates.low
+        span = np.minimum(coordinates.high - coordinates.low, 2 * SPREAD_LIMIT * coordinates.deviation)
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
         here = self.at(coordinates, point[None])
         changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
@@ -358,13 +358,19 @@ class Reduction:
         for j in range(len(self.judged)):
             mine = np.stack([*linear.base[:, j], *(column[j] for column in columns)])
             kept.append(np.flatnonzero(np.abs(mine).max((1, 2)) > 0))
-            values.append(mine[kept[-1]])
-            for kinds in (torque, current, rate):  # columns of windows on the edge of sticking are wild
-                usual = np.quantile(np.abs(values[-1][..., kinds]), 0.97, axis=(1, 2), keepdims=True)
-                values[-1][..., kinds] = np.clip(values[-1][..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
+            values.append(self.tamed(mine[kept[-1]]))
         measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
         names = tuple(self.engine.joints[j] for j in self.judged)
         return Rows(names, self.kinds, measured, variance, self.features, tuple(kept), tuple(values))
+
+    def tamed(self, columns: np.ndarray) -> np.ndarray:
+        """A joint's columns ``[column, window, row]`` without what is wild of windows on the edge of sticking."""
+        result = columns.copy()
+        for group in range(3):
+            kinds = self.kinds // 2 == group
+            usual = np.quantile(np.abs(columns[..., kinds]), 0.97, axis=(1, 2), keepdims=True)
+            result[..., kinds] = np.clip(columns[..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
+        return result
 
     def _on_edge(self, linear: Linear) -> np.ndarray:
         """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""

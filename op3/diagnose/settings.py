@@ -32,7 +32,6 @@ class Settings:
             25 windows show a fifth.
         form: standard deviation of a finding's size, as a share of it: no law is quite the robot's, and of eleven sizes
             found on robots of another simulator ten were off by 2 to 28 %.
-        family: log odds within which names are one finding.
         windows: of the fitted runs; more add what model error repeats. None: five of each run, at least 72.
         leaders: candidates that are estimated anew with everything else in each round.
     """
@@ -55,7 +54,6 @@ class Settings:
     least_load: float = 0.01
     least_floor: float = 0.2
     form: float = 0.2
-    family: float = 6.0
     windows: int | None = None
     leaders: int = 6
 

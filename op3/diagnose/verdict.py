@@ -122,6 +122,7 @@ class Verdict:
         loss: ``paper_eq7`` before and after on them.
         chain: the numbers of the chain of measurement, as found and as usual.
         ranking: what was considered, best first.
+        ends: by how much the other best starts of the baseline fit end worse, in minus two log evidence.
         not_shown: effects that these logs would not show at any plausible size, and in which joints.
         seconds: processor time by stage.
         shown: predictions for the page.
@@ -139,6 +140,7 @@ class Verdict:
     loss: Mapping[str, Any] = field(default_factory=dict)
     chain: Sequence[Mapping[str, Any]] = ()
     ranking: Sequence[Mapping[str, Any]] = ()
+    ends: tuple[float, ...] = ()
     not_shown: Mapping[str, Sequence[str]] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     shown: Mapping[str, Any] = field(default_factory=dict)
@@ -189,7 +191,7 @@ class Verdict:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "base": plain({"doubts": self.doubts, "untold": self.untold, "chain": self.chain}),
+            "base": plain({name: getattr(self, name) for name in ("doubts", "untold", "chain", "ends")}),
             "findings": [plain(one) | {"separate_by": one.separate_by} for one in self.findings],
             **{
                 name: plain(getattr(self, name))

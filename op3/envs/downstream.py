@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from op3.envs.returns import ReturnsBench
-from op3.intervals import bootstrap_interval
 from op3.policy import PolicyBundle
 from op3.rollout import Rollout
+from op3.sample_intervals import bootstrap_interval
 from op3.servo import RobotModel
 from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import Task, find_task

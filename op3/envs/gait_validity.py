@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from op3.envs.batched import BatchedEnv
 from op3.envs.record import record_episodes
-from op3.envs.traces import SKIPPED, TOUCHED, Traces, Watch, swings
+from op3.envs.step_traces import SKIPPED, TOUCHED, Traces, Watch, swings
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import SelfCollision

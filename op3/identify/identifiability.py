@@ -120,7 +120,7 @@ def in_words(names: Sequence[str], direction: Array) -> str:
     parts = [int(i) for i in order if abs(direction[i]) >= PART][:4]
     words = [_spoken(names[i]) for i in parts]
     if len(parts) < 2:
-        return f"these logs do not tell {words[0] if words else _spoken(names[int(order[0])])}"
+        return f"these logs do not determine {words[0] if words else _spoken(names[int(order[0])])}"
     first = direction[parts[0]] > 0
     alike = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) == first]
     against = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) != first]

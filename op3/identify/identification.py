@@ -22,6 +22,7 @@ from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
 from op3.settings import Count, Whole, settings
+from op3.sim.model_file import model_hash
 from op3.tasks import Prediction, Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
@@ -205,6 +206,17 @@ class Identification:
         for some in (predictions[: len(self.problem.replay.logs)], predictions[len(self.problem.replay.logs) :]):
             if some:
                 self.loss(some)
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What the losses depend on beside the searched parameters, for `op3.identify.study.run_study`."""
+        logs = self.problem.replay.logs
+        return {
+            "logs": ", ".join(sorted(log.content_hash() for log in logs)),
+            "robot": ", ".join(sorted({log.robot.content_hash for log in logs})),
+            "model": model_hash(self.problem.model),
+            "loss": repr((self.loss, self._bench_timestep)),
+        }
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""

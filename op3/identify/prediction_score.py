@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.identify.loss import TrajectoryLoss
-from op3.intervals import bootstrap_interval
 from op3.rollout import Rollout
+from op3.sample_intervals import bootstrap_interval
 from op3.servo import Estimate, RobotModel
 from op3.tasks import Prediction, Replay
 from op3.tasks.setups import BENCH_CONTROL_PERIOD

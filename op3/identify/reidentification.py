@@ -17,7 +17,7 @@ from scipy.stats import wasserstein_distance
 from torch import Tensor
 
 from op3.envs.returns import ReturnsBench
-from op3.identify.episodes import check_episode
+from op3.identify.failed_episodes import check_episode
 from op3.identify.identification import PREFIX
 from op3.identify.level_set import draw_level_set
 from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, residual_image

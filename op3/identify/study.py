@@ -78,6 +78,7 @@ def run_study(
     population: int = 64,
     nominal: Mapping[str, Any] | None = None,
     starts: Sequence[Mapping[str, Any]] = (),
+    identity: Mapping[str, str] | None = None,
     seed: int | None = None,
     worker: int = 0,
     progress: bool = True,
@@ -99,6 +100,8 @@ def run_study(
         nominal: parameters of the first trial, the baseline; None starts without one.
         starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the
             same.
+        identity: what the values depend on beside the parameters, such as logs and model, each as a text or a digest;
+            a stored study with another identity is refused. None checks nothing.
         seed: seed of the study; None keeps the stored seed, or draws one for a new study.
         worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
         progress: show trials, best value, rate and time left.
@@ -114,7 +117,7 @@ def run_study(
     given = [] if baseline is None else [({"nominal": True}, baseline)]
     given += [({"start": number}, check_nominal(search_space, values)) for number, values in enumerate(starts)]
     factory = make_sampler_factory(sampler, population=population, directions=len(directions), nominal=baseline)
-    study = _open_study(storage, study_name, directions, search_space, seed)
+    study = _open_study(storage, study_name, directions, search_space, seed, identity)
     session = _Session(study, search_space, factory, worker)
     if worker == 0:
         session.enqueue(given)
@@ -274,6 +277,7 @@ def _open_study(
     directions: Sequence[str],
     search_space: SearchSpace,
     seed: int | None,
+    identity: Mapping[str, str] | None,
 ) -> optuna.Study:
     try:
         wanted = [StudyDirection[direction.upper()] for direction in directions]
@@ -288,6 +292,15 @@ def _open_study(
             f"The stored study {name!r} has other directions, parameters or ranges than the ones given: "
             "give the new one another study_name or storage, or restore them."
         )
+    known = attributes.get("identity", {})
+    if identity is not None and known != identity and study.get_trials(deepcopy=False):
+        differs = [part for part in {**identity, **known} if known.get(part) != identity.get(part)]
+        raise StudyError(
+            f"The stored study {name!r} has other {', '.join(differs)} than this run: choose another folder, storage"
+            " or study_name, or repeat the command that began it."
+        )
+    if identity is not None:
+        study.set_user_attr("identity", dict(identity))
     if "search_space" not in attributes:
         study.set_user_attr("search_space", space)
     if seed is None:

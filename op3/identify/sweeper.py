@@ -39,8 +39,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
-from op3.identify.settings import StudySettings, read_settings
 from op3.identify.study import Evaluate, Outcome, as_outcome, evaluate_population
+from op3.identify.study_settings import StudySettings, read_settings
 from op3.rollout.files import write_text
 
 log = logging.getLogger(__name__)
@@ -57,6 +57,7 @@ def sweep_or_report(
     evaluate: Evaluate,
     report: Callable[[optuna.Study], Any] | None = None,
     propose: Propose | None = None,
+    identity: Mapping[str, str] | None = None,
 ) -> Any:
     """Do an experiment's part of a study: evaluate a population, or run the study and report it.
 
@@ -66,9 +67,10 @@ def sweep_or_report(
         report: makes the report of a finished study.
         propose: proposes the `hydra.sweeper.starts` trials that come first; they are kept in `starts.json`, so that a
             study that goes on begins with the same.
+        identity: what the objectives depend on beside the parameters, see `op3.identify.study.run_study`.
 
     Returns:
-        In a population job, the list of its results, or the starts that it asks for; else what
+        In a population job, the list of its results, or the starts and the identity that it asks for; else what
         `report` returns, or the study's summary.
     """
     path = OmegaConf.select(cfg, "population")
@@ -78,7 +80,8 @@ def sweep_or_report(
                 raise ValueError(f"population={path}: the sweeper writes that file itself; leave it out")
         asked = json.loads(Path(path).read_text())
         if isinstance(asked, dict):
-            return _propose(propose, asked["starts"])
+            starts = _propose(propose, asked["starts"]) if asked["starts"] else []
+            return {"starts": starts, "identity": None if identity is None else dict(identity)}
         return evaluate_population(evaluate, asked)
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
@@ -90,7 +93,7 @@ def sweep_or_report(
             return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
 
         starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
-        study = settings.run(evaluate_chunks, starts)
+        study = settings.run(evaluate_chunks, starts, identity)
     summary = summarize(study)
     write_results(folder, summary)
     return summary if report is None else report(study)
@@ -145,8 +148,11 @@ class PopulationSweep:
             returns: list[Sequence[JobReturn]] = []
             for number, (overrides, (folder, settings)) in enumerate(zip(grid, cells, strict=True)):
                 log.info("Study %d of %d: %s", number + 1, len(grid), " ".join(overrides) or "(no overrides)")
-                starts = _kept_starts(folder, settings, lambda o=overrides, f=folder, s=settings: self._starts(o, f, s))
-                study = settings.run(lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s), starts)
+                begun = self._begin(overrides, folder, settings)
+                starts = _kept_starts(folder, settings, lambda b=begun: b["starts"])
+                study = settings.run(
+                    lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s), starts, begun["identity"]
+                )
                 summaries.append({"folder": folder.name, "overrides": list(overrides), **summarize(study)})
                 write_results(sweep_dir, _sweep_summary(summaries, len(grid)))
                 returns.append(self._report(overrides, folder, settings, number))
@@ -181,10 +187,16 @@ class PopulationSweep:
             return [Outcome(None, error=f"launcher: {type(error).__name__}: {error}") for _ in population]
         return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
 
-    def _starts(self, overrides: list[str], folder: Path, settings: StudySettings) -> list[dict[str, Any]]:
-        """Ask the experiment for starts, in a job of their own."""
-        first, jobs = _write_jobs([{"starts": settings.starts}], overrides, folder)
-        return list(self._launcher.launch(jobs, initial_job_idx=first)[0].return_value)
+    def _begin(self, overrides: list[str], folder: Path, settings: StudySettings) -> dict[str, Any]:
+        """Ask the experiment, in a job of its own, for the study's identity, and for starts where there are none."""
+        wanted = 0 if (folder / STARTS_FILE).exists() else settings.starts
+        first, jobs = _write_jobs([{"starts": wanted}], overrides, folder)
+        job = self._launcher.launch(jobs, initial_job_idx=first)[0]
+        if job.status != JobStatus.COMPLETED:
+            if isinstance(error := job._return_value, StudyError):
+                raise error
+            raise StudyError(f"The study cannot begin, its first job raised {type(error).__name__}: {error}")
+        return job.return_value
 
     def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
         """Run the experiment once more, in the cell's own folder, where it finds its study finished."""

@@ -119,6 +119,8 @@ class PolicyBundle:
             ValueError: if the bundle is broken; the message names file, field and remedy.
         """
         folder = here_or_shipped(folder)
+        if not (folder / MANIFEST).exists() and (folder / "policy" / MANIFEST).is_file():  # the run of a training
+            folder = folder / "policy"
         for name in (MANIFEST, WEIGHTS):
             if not (folder / name).is_file():
                 raise FileNotFoundError(

@@ -13,7 +13,7 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import words
 from op3.report.tables import TableRows, loss_table, parameter_table
-from op3.report.traces import bench_figures, body_figure, checks_table, run_name, traces_figure
+from op3.report.trace_figures import bench_figures, body_figure, checks_table, run_name, traces_figure
 
 EQ7 = "paper eq. (7)"
 
@@ -84,15 +84,15 @@ def _numbers(fit: Fit, seconds: float) -> dict[str, Any]:
 
 
 def abstained(fit: Fit) -> str:
-    """What the logs do not tell, and how recordings that would are found; it follows a sentence's end."""
+    """Which parameters the logs do not determine, and how to plan recordings that do, in sentences."""
     if fit.identifiability is None:
         return ""
     told = verdicts(fit.identifiability)
-    bound, untold = map(words, told["at its bound"]), told["not told"]
-    said = f"; at its bound: {', '.join(bound)}" if told["at its bound"] else ""
-    if untold:
-        said += f"; these logs do not tell {', '.join(map(words, untold))}, and"
-        said += f" `op3 design 'wanted=[{','.join(untold)}]'` plans recordings that would"
+    bound, unidentifiable = told["at its bound"], told["not told"]
+    said = f" At the bound of its range: {', '.join(map(words, bound))}." if bound else ""
+    if unidentifiable:
+        said += f" Not identifiable from these logs: {', '.join(map(words, unidentifiable))}."
+        said += f" Next: record the motions that `op3 design 'wanted=[{','.join(unidentifiable)}]'` plans."
     return said
 
 

@@ -8,7 +8,7 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import words
 from op3.report.tables import TableRows
-from op3.report.traces import bench_figures, body_figure, checks_table, run_name, traces_figure
+from op3.report.trace_figures import bench_figures, body_figure, checks_table, run_name, traces_figure
 from op3.rollout import CHANNELS
 from op3.rollout.schema import normal_key
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from op3.report.tracks import Tracks
-from op3.report.view import RATE, ghost_colours, lines_of
+from op3.report.viewer import RATE, ghost_colours, lines_of
 
 
 def record(tracks: Tracks, path: Path | None) -> Path | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from op3.report.run_logger import RunLogger
 from op3.report.style import NAMES
 from op3.rollout.files import write_text
 from op3.servo import Estimate, catalogue
+from op3.wandb_settings import WandbSettings
 
 HEADER = """\
 # The numbers of one run. Keys are dotted paths; units are SI unless a key names another.
@@ -69,7 +70,7 @@ class RunFolder:
         path: of the folder.
         provenance: see `op3.report.run_provenance`; it stands on the page and in ``result.yaml``.
         config: settings, for wandb.
-        wandb_mode: ``offline``, ``online``, ``disabled``; None leaves it to the environment.
+        wandb: how the run is logged.
         used: kind (``log``, ``model``, ``policy``) and path, pattern or list of paths of what the run read.
         made: the same of what it wrote.
     """
@@ -77,7 +78,7 @@ class RunFolder:
     path: Path
     provenance: Mapping[str, Any]
     config: Mapping[str, Any] | None = None
-    wandb_mode: str | None = "disabled"
+    wandb: WandbSettings = field(default_factory=lambda: WandbSettings(mode="disabled"))
     used: Sequence[tuple[str, Any]] = ()
     made: Sequence[tuple[str, Any]] = ()
 
@@ -104,8 +105,8 @@ def publish(
     page.provenance(run.provenance)
     write_result(run.path / "result.yaml", values, NAMES["meanings"].get(page.template))
     page.write(run.path / "index.html")
-    if run.wandb_mode != "disabled":
-        with RunLogger(run.path, config=run.config, mode=run.wandb_mode) as logger:
+    if run.wandb.mode != "disabled":
+        with RunLogger(run.path, config=run.config, wandb=run.wandb) as logger:
             logger.lineage(run.used, run.made)
             for name, numbers in (curve or {}).items():
                 for step, number in enumerate(numbers):

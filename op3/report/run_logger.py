@@ -10,6 +10,7 @@ from typing import Any, Self
 import plotly.graph_objects as go
 
 from op3.private import scrub
+from op3.wandb_settings import WandbSettings
 
 
 def sweep_group(folder: str | Path) -> str:
@@ -42,35 +43,37 @@ class RunLogger:
     """Logs one run to wandb, as a context manager.
 
     By default the run is written to ``<folder>/wandb`` and nothing leaves the machine; ``wandb sync`` uploads it
-    later. Runs of one sweep are a group, and each is named as its folder.
+    later. Runs of one sweep are a group, and each is named as its folder unless the settings name it.
 
     Args:
         folder: of the run.
         config: plain settings of the run.
-        mode: ``offline``, ``online`` or ``disabled``; by default the environment's WANDB_MODE, else offline.
+        wandb: mode, project, entity, tags and name; by default offline, or as WANDB_MODE says.
     """
 
-    def __init__(self, folder: str | Path, *, config: Mapping[str, Any] | None = None, mode: str | None = None):
-        mode = mode or os.environ.get("WANDB_MODE") or "offline"
-        if mode not in ("offline", "online", "disabled"):
-            raise ValueError(f"wandb mode {mode!r}: choose offline, online or disabled")
+    def __init__(
+        self, folder: str | Path, *, config: Mapping[str, Any] | None = None, wandb: WandbSettings | None = None
+    ):
+        chosen = wandb or WandbSettings.of("offline")
+        mode = chosen.mode
         if mode != "online":
             os.environ.setdefault("WANDB_ERROR_REPORTING", "false")
-        import wandb  # after the line above, which it reads once; and half a second that other uses need not pay
+        import wandb as library  # after the line above, which it reads once; half a second that others need not pay
 
-        self._wandb, self._online = wandb, mode == "online"
+        self._wandb, self._online = library, mode == "online"
         folder, quiet = Path(folder), not self._online
         folder.mkdir(parents=True, exist_ok=True)
-        settings = wandb.Settings(
+        settings = library.Settings(
             silent=quiet, console="off", disable_code=True, disable_git=True, x_disable_meta=quiet,
             x_disable_stats=quiet,
         )  # fmt: skip
         try:
-            self._run = wandb.init(
-                project="op3", group=sweep_group(folder), name=folder.resolve().name, dir=str(folder),
-                config=scrub(dict(config or {})), mode=mode, reinit="create_new", settings=settings,
+            self._run = library.init(
+                project=chosen.project, entity=chosen.entity, tags=chosen.tags, group=sweep_group(folder),
+                name=chosen.name or folder.resolve().name, dir=str(folder), config=scrub(dict(config or {})), mode=mode,
+                reinit="create_new", settings=settings,
             )  # fmt: skip
-        except wandb.errors.Error as error:
+        except library.errors.Error as error:
             problem = str(error).strip().splitlines()[0].rstrip(".")
             raise ValueError(
                 f"wandb={mode}: {problem}; log in with `wandb login`, or write wandb=offline, which needs no account"

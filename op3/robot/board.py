@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.robot.motions import minimum_jerk
-from op3.robot.units import GRAVITY
+from op3.robot.register_units import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 from dm_control import composer, mjcf
 
-from op3.robot.robot import Robot, read_spec
+from op3.robot.model_source import read_model
+from op3.robot.robot import Robot
 
 IMU_SENSORS = {"imu_orientation": "framequat", "imu_gyro": "gyro", "imu_accelerometer": "accelerometer"}
 """Sensors at the site of an IMU, by name."""
@@ -52,6 +53,7 @@ class RobotEntity(composer.Entity):
         number = model.joint(joint.name).id
         joint.type, joint.axis, joint.pos = "hinge", model.jnt_axis[number].copy(), model.jnt_pos[number].copy()
         joint.damping = joint.frictionloss = joint.armature = 0.0
+        joint.actuatorfrclimited = "false"
 
     def _adjust(self, parameters: dict[str, float]) -> None:
         known = self.robot.file.parameters
@@ -151,8 +153,10 @@ class RobotEntity(composer.Entity):
 
 def _read(robot: Robot) -> Any:
     """The robot's model without what drives and senses it, a free base, and the world that it stood in."""
-    spec = read_spec(robot.model_path, robot.file.base)
-    if robot.model_path.suffix == ".urdf" or spec.compiler.degree:  # MuJoCo turns both into what fits into our scenes
+    spec = read_model(robot.model_path, robot.file).spec
+    changed = robot.followed or any(part.ignored for part in robot.model_parts)
+    # MuJoCo turns these into what fits into our scenes
+    if changed or robot.model_path.suffix == ".urdf" or spec.compiler.degree:
         spec.compile()
         root: Any = mjcf.from_xml_string(spec.to_xml(), model_dir=str(robot.model_path.parent))
     else:

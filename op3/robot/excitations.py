@@ -3,7 +3,9 @@
 Every one starts and ends at rest in the pose it goes around, keeps its own speed limit, and is sampled at the rate of
 the robot's PD loop. Beside its own arguments it takes
 
-- `joints`: how far each moves [rad], the sign is its direction; None: every controlled joint as far as is safe,
+- `joints`: how far each moves [rad], the sign is its direction; None: every controlled joint as far as limits, speeds
+  and clearances of the robot allow,
+- `duration`: length [s]; of a motion that does not stretch, reached by whole repeats,
 - `around` and `offset`: the pose in the middle, "home" or another, and what is added to it by joint [rad],
 - `robot` and `name`: a name in `assets/robots` or the path of its file, and what the motion is called.
 
@@ -12,6 +14,7 @@ the robot's PD loop. Beside its own arguments it takes
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from inspect import signature
 from itertools import pairwise
 from typing import Any
 
@@ -32,15 +35,20 @@ Array = NDArray[np.float64]
 Amplitudes = Mapping[str, float]
 """Amplitude of each joint that moves [rad]; the sign is its direction."""
 
-SHARES = (0.4, 0.2, 0.1, 0.05)
+SHARES = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
 """How far joints move where no amplitudes are given, of the way from home to the nearer limit: the first safe one."""
 
 LARGEST = 0.5
 """And the largest of these amplitudes [rad]."""
 
+BRISK = 0.95
+"""Where no amplitudes are given, joints move at most at so much of their speed limit."""
+
 
 def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..., Motion]:
     """A motion of any robot from a function that gives times [time] and its joints' excursions [time, joint]."""
+
+    stretches = "duration" in signature(excursions).parameters
 
     @wraps(excursions)
     def make(
@@ -50,9 +58,12 @@ def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..
         offset: Amplitudes | None = None,
         robot: str = DEFAULT,
         name: str = excursions.__name__,
+        duration: float | None = None,
         **own: Any,
     ) -> Motion:
         known = load_robot(robot)
+        if stretches and duration is not None:
+            own["duration"] = duration
         middle = known.pose(around)
         for joint, angle in (offset or {}).items():
             middle[known.indices([joint])[0]] += angle
@@ -61,6 +72,13 @@ def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..
             if not chosen:
                 raise ValueError(f"motion {name!r} moves no joint: give joints with their amplitudes in rad")
             time, away = excursions(chosen, *args, **own)
+            if duration is not None and not stretches:
+                passes = max(1, round(duration / time[-1]))
+                away = np.concatenate([*[away[:-1]] * (passes - 1), away])
+                time = np.arange(len(away)) / RATE
+            if joints is None:
+                fastest = np.abs(np.diff(away, axis=0)).max(0) * RATE
+                away = away * np.minimum(1.0, BRISK * known.speed_limits[known.indices(chosen)] / (fastest + 1e-12))
             position = np.tile(middle, (len(time), 1))
             position[:, known.indices(chosen)] += away
             return Motion(time, position, name=name, mounts=("stand",), robot=known.reference)

@@ -23,7 +23,7 @@ def _forward(joint_position: ArrayLike, robot: str | Robot) -> tuple[Robot, mujo
     """The robot, MuJoCo's data of it with its base fixed upright, and the base's place in it [3]."""
     known = load_robot(robot)
     data = mujoco.MjData(known.bare_model)
-    data.qpos[:] = known.position(joint_position)
+    data.qpos[:] = known.configuration(joint_position)
     mujoco.mj_kinematics(known.bare_model, data)
     base = known.file.base
     return known, data, np.zeros(3) if base is None else data.body(base).xpos.copy()

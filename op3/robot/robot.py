@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import logging
 from collections.abc import Iterable, Mapping
 from functools import cached_property, lru_cache
 from math import pi
@@ -16,11 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.assets import robot_file, robot_files
 from op3.robot.data_file import DataFile, DataFileError
+from op3.robot.model_source import ModelSource, read_model
 from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names, servo_path
 from op3.robot.servo_make import ServoMake, load_servo, supply_shares
 from op3.settings import nearest
 
 Array = NDArray[np.float64]
+
+_log = logging.getLogger("op3.robot")
 
 DEFAULT = "op3"
 """The robot that is meant where none is named."""
@@ -41,8 +46,11 @@ class Robot:
         self.joints: tuple[str, ...] = tuple(self.file.joints)
         self.model_path = (self.path.parent / self.file.model).resolve()
         self._index = {name: number for number, name in enumerate(self.joints)}
-        self.bare_model = _bare(file, self.model_path, self.file.base)
-        check_names(file, self.file, self.bare_model)
+        source = _source(file, self.model_path, self.file)
+        self.bare_model, self.followed, self.model_parts = source[0], source[1].followed, source[1].parts
+        check_names(file, self.file, self.bare_model, self.followed)
+        for part in (part for part in self.model_parts if part.ignored):
+            _log.warning("%s: %s", self.model_path.name, part)
         self.limits: Array = np.array([self._limits(name) for name in self.joints])
         self.home: Array = np.array([entry.home for entry in self.file.joints.values()])
         angles = [(("joints", name, "home"), name, entry.home) for name, entry in self.file.joints.items()]
@@ -56,6 +64,16 @@ class Robot:
     def reference(self) -> str:
         """What a log or a config calls it: its name if it comes with the project, else the path of its file."""
         return self.name if robot_files().get(self.name) == self.path else str(self.path)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Twelve hex digits of its file, its servos and its compiled model, whatever the files are called."""
+        digest = hashlib.sha256(repr((self.file, self.servos)).encode())
+        arrays = ((name, getattr(self.bare_model, name)) for name in sorted(dir(self.bare_model)))
+        for name, values in arrays:
+            if isinstance(values, np.ndarray):
+                digest.update(name.encode() + values.tobytes())
+        return digest.hexdigest()[:12]
 
     @property
     def firmware_gain(self) -> Array:
@@ -230,6 +248,37 @@ class Robot:
         """Joint angles as a finite float array [joint] of the right length, or a clear error."""
         return checked_angles(joint_position, len(self.joints))
 
+    @property
+    def unpowered(self) -> bool:
+        """Whether its model has joints without a servo."""
+        return self.bare_model.njnt > len(self.joints)
+
+    def configuration(self, joint_position: ArrayLike) -> Array:
+        """Positions of all joints of the bare model [joint of the model] in rad and m: those without a servo where the
+        others take them, or at rest."""
+        position = self.position(joint_position)
+        if not self.unpowered:
+            return position
+        places, whole = self.bare_model.jnt_qposadr, self.bare_model.qpos0.copy()
+        whole[[places[self.bare_model.joint(name).id] for name in self.joints]] = position
+        for name, (driver, ratio, offset) in self.followed.items():
+            angle = 0.0 if driver is None else position[self._index[driver]]
+            whole[places[self.bare_model.joint(name).id]] = offset + ratio * angle
+        return whole
+
+    def gravity(self, joint_position: ArrayLike) -> Array:
+        """Torques that hold its joints [joint] against gravity with the base upright [N m]."""
+        model, data = self.bare_model, mujoco.MjData(self.bare_model)
+        data.qpos[:] = self.configuration(joint_position)
+        mujoco.mj_forward(model, data)
+        torque = np.zeros(len(self.joints))
+        by_name = {model.joint(number).name: data.qfrc_bias[model.jnt_dofadr[number]] for number in range(model.njnt)}
+        torque += [by_name[name] for name in self.joints]
+        for name, (driver, ratio, _) in self.followed.items():
+            if driver is not None:
+                torque[self._index[driver]] += ratio * by_name[name]
+        return torque
+
     def log_channel(self, joint: str) -> tuple[LogChannel, float]:
         """What a foreign log of a joint holds, and its unit of angle [rad]."""
         channel = self.file.joints[joint].log
@@ -281,19 +330,6 @@ def pose(name: str, robot: str | Robot = DEFAULT) -> Array:
     return load_robot(robot).pose(name)
 
 
-def read_spec(path: Path, base: str | None) -> mujoco.MjSpec:
-    """The robot's model as MuJoCo reads it, without what drives it, a free base, and what lies around that."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    spec.compiler.fusestatic = False  # which takes a URDF's first link for a part of the world
-    around = spec.worldbody.geoms if base else ()
-    for element in (*spec.actuators, *spec.sensors, *spec.keys, *around):
-        spec.delete(element)
-    for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
-            spec.delete(joint)
-    return spec
-
-
 def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Let what hangs on a fixed body pass through it, as MuJoCo does by itself where that body moves."""
     for body in spec.bodies:
@@ -304,12 +340,13 @@ def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _bare(file: DataFile, path: Path, base: str | None) -> mujoco.MjModel:
-    """The compiled model, its base fixed."""
+def _source(file: DataFile, path: Path, content: RobotFile) -> tuple[mujoco.MjModel, ModelSource]:
+    """The compiled model, its base fixed, and what it was made from."""
     if not path.is_file():
         raise file.fault(("model",), f"names {path}, where there is no file")
     try:
-        return read_spec(path, base).compile()
+        source = read_model(path, content)
+        return source.spec.compile(), source
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
-        raise file.fault(("model",), f"names {path.name}, which MuJoCo cannot read: {reason}") from None
+        raise file.fault(("model",), f"names {path.name}, which cannot be read: {reason}") from None

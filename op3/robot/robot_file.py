@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from math import pi
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +16,9 @@ from pydantic import Field, model_validator
 from op3.assets import named_configs
 from op3.robot.data_file import DataFile, Real, Record, among
 from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
+
+FORMAT = "op3-robot/1"
+"""Version of a robot file's form."""
 
 ANGLES: Mapping[str, float | None] = {"rad": 1.0, "deg": pi / 180, "turn": 2 * pi, "count": None}
 """Units of a log's angles [rad]; that of a count is the encoder's."""
@@ -68,6 +71,40 @@ class JointEntry(Record):
     log: LogChannel = LogChannel()
 
 
+class Coupling(Record):
+    """How a joint follows another: its position is `offset` plus `ratio` times that of `joint` [rad; of a slide m].
+
+    Attributes:
+        joint: that it follows.
+        ratio: of its position to that joint's.
+        offset: where it is when that joint is at zero.
+    """
+
+    joint: str
+    ratio: Real = 1.0
+    offset: Real = 0.0
+
+
+class Unpowered(Record):
+    """A joint without a servo: exactly one of these.
+
+    Attributes:
+        passive: moves freely, with the spring, damping and friction that the model gives it.
+        coupled: follows another joint.
+        held: stays where it is put [rad, m].
+    """
+
+    passive: Literal[True] | None = None
+    coupled: Coupling | None = None
+    held: Real | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Unpowered:
+        if sum(value is not None for value in (self.passive, self.coupled, self.held)) != 1:
+            raise ValueError("must say one of passive: true, coupled and held")
+        return self
+
+
 class AdjustableNumber(Record):
     """A number of the model that differs from robot to robot, such as the mass of a pendulum.
 
@@ -106,7 +143,10 @@ class RobotFile(Record):
         loop: who closes the loop of all servos; None: as their makes say.
         law: servo model that is taken where none is asked for, a name in conf/servo; None: one made of its servos.
         board: what switches the servos' supply and holds the IMU on the bus; None: the servos have power, and no IMU.
-        joints: by name, in the order of the model.
+        joints: those with a servo, by name, in the order of the model; entries that say `passive`, `coupled` or `held`
+            become `unpowered`.
+        unpowered: the model's joints without a servo. Joints that mimic others, by a URDF's `mimic` or an MJCF's
+            equality, are coupled without an entry.
         controlled: joints that policies and identification focus on; None: all. The others are held at home.
         poses: angles by joint [rad] of named poses; a joint not named is as its mirror partner, else at home.
         parameters: numbers of the model that differ, by name.
@@ -116,6 +156,7 @@ class RobotFile(Record):
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")
     model: str
     joints: dict[str, JointEntry] = Field(min_length=1)
+    unpowered: dict[str, Unpowered] = {}
     source: str | None = None
     base: str | None = None
     fixed: bool = Field(default=False, strict=True)
@@ -138,12 +179,21 @@ class RobotFile(Record):
         """A joint about which nothing is to be said is written without a value."""
         joints = values.get("joints") if isinstance(values, dict) else None
         if isinstance(joints, dict):
-            values = {**values, "joints": {name: {} if entry is None else entry for name, entry in joints.items()}}
+            joints = {name: {} if entry is None else entry for name, entry in joints.items()}
+            free = {n: e for n, e in joints.items() if isinstance(e, dict) and Unpowered.model_fields.keys() & e.keys()}
+            driven = {name: entry for name, entry in joints.items() if name not in free}
+            values = {**values, "joints": driven, "unpowered": {**(values.get("unpowered") or {}), **free}}
         return values
 
 
-def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> None:
+def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupled: Collection[str] = ()) -> None:
     """Refuse names that neither the model nor the project has, and what contradicts itself.
+
+    Args:
+        file: that holds it.
+        content: of the file.
+        model: compiled.
+        coupled: joints that follow others.
 
     Raises:
         DataFileError: with file, line and the nearest valid name.
@@ -153,7 +203,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
         for kind, count in (("body", model.nbody), ("site", model.nsite), ("geom", model.ngeom))
     }
     names["joint"] = list(content.joints)
-    _check_joints(file, content, model)
+    _check_joints(file, content, model, coupled)
     _check_partners(file, content)
     wanted: list[tuple[tuple[str | int, ...], str, str | None]] = [
         (("base",), "body", content.base),
@@ -178,7 +228,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> No
         raise file.fault(("key_points",), f"are {len(content.key_points)}, not as many for each of the feet")
 
 
-def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> None:
+def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupled: Collection[str]) -> None:
     hinges = [model.joint(number).name for number in range(model.njnt)]
     makes: list[ServoMake] = []
     if "" in hinges:
@@ -189,7 +239,8 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> 
         if name not in hinges:
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] != mujoco.mjtJoint.mjJNT_HINGE:
-            raise file.fault(place, "is no hinge in the model; a servo drives hinges only")
+            problem = "is no hinge in the model, and a servo drives hinges only: write `held: 0.0` where it stays, or "
+            raise file.fault(place, problem + "`coupled: {joint: <hinge>, ratio: <m/rad>}` where a hinge drives it")
         makes.append(_make(file, content, name))
         if (loop := content.loop or makes[-1].loop) != (content.loop or makes[0].loop):
             first = f"{next(iter(content.joints))} has {makes[0].loop!r} ({makes[0].name})"
@@ -206,11 +257,23 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel) -> 
     if any(given) and not all(given):
         name = list(content.joints)[given.index(False)]
         raise file.fault(("joints", name), "has no bus_id, where other joints have one; give it its own")
+    for name, entry in content.unpowered.items():
+        place = ("unpowered", name)
+        if name not in hinges:
+            raise file.unknown(place, "joint", name, hinges)
+        if model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
+            raise file.fault(place, "is a ball in the model; take it out of there, which holds it")
+        if entry.coupled and entry.coupled.joint not in content.joints:
+            raise file.unknown((*place, "coupled"), "joint with a servo", entry.coupled.joint, content.joints)
+    known = {*content.joints, *content.unpowered, *coupled}
     for name in hinges:
-        if name not in content.joints:
-            raise file.fault(("joints",), f"leave out the model's joint {name!r}; list it, or take it out of the model")
-    if hinges != list(content.joints):
-        raise file.fault(("joints",), f"stand in another order than in the model; write {', '.join(hinges)}")
+        if name not in known:
+            problem = (
+                f"leave out the model's joint {name!r}: list it with its servo, or as `{name}: {{passive: true}}`, "
+            )
+            raise file.fault(("joints",), f"{problem}`{{coupled: {{joint: ..., ratio: ...}}}}` or `{{held: 0.0}}`")
+    if (order := [name for name in hinges if name in content.joints]) != list(content.joints):
+        raise file.fault(("joints",), f"stand in another order than in the model; write {', '.join(order)}")
 
 
 def _check_limits(

@@ -127,18 +127,19 @@ class Scene:
             moves besides the robot; otherwise the joints alone.
         """
         position = checked_angles(joint_position, len(self.joints))
+        every = self.robot_file.configuration(position) if self.robot_file.unpowered else position
         if self.floating:
             level_roll, level_pitch = level_soles(position, self.robot_file)
             roll = level_roll if roll is None else roll
             pitch = level_pitch if pitch is None else pitch
             height = standing_height(position, roll, pitch, self.robot_file)
-            return np.concatenate([*self._on_ground(height, roll, pitch), position, self._others()])
+            return np.concatenate([*self._on_ground(height, roll, pitch), every, self._others()])
         if roll or pitch:
             raise ValueError(
                 f"the base of scene {self.name!r} is fixed, so it has no roll and pitch to start from; "
                 "tilt the stand with build_scene('stand', tilt_roll=..., tilt_pitch=...)"
             )
-        return position.copy()
+        return every.copy()
 
     def _on_ground(self, height: float, roll: float, pitch: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Place and quaternion of a trunk that is so high above the ground, and so tilted against it."""
@@ -195,7 +196,7 @@ def build_scene(
         return build_bench()
     if name == "stand":
         arena, entity = composer.Arena(xml_path=str(asset_path("scenes/stand.xml"))), RobotEntity(known)
-        kept = _without_limbs(entity, known.joints if joints is None else joints)
+        kept = _without_limbs(entity, known.joints if joints is None or known.unpowered else joints)
         root: Any = arena.mjcf_model
         mount = root.find("site", "mount")
         mount.quat = quaternion(tilt_roll, tilt_pitch)

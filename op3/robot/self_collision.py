@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from op3.robot.robot import Robot, exclude_neighbours, read_spec
+from op3.robot.model_source import read_model
+from op3.robot.robot import Robot, exclude_neighbours
 
 CLEARANCE = 0.005
 """Least distance between two parts of the robot that are not neighbours [m]."""
@@ -57,13 +58,13 @@ class SelfCollision:
 
     def __init__(self, robot: Robot, margin: float = CLEARANCE):
         # before compiling: MuJoCo sums up what each body may touch at that moment
-        spec = read_spec(robot.model_path, robot.file.base)
+        spec = read_model(robot.model_path, robot.file).spec
         for geom in spec.geoms:
             if geom.conaffinity:
                 geom.contype, geom.margin = 1, margin
         self._model = exclude_neighbours(spec).compile()
         self._data = mujoco.MjData(self._model)
-        self._places = np.array([int(self._model.joint(name).qposadr[0]) for name in robot.joints])
+        self._robot = robot
         self._margin = margin
         self._at_home: set[tuple[int, int]] = set()
         self._at_home = {pair for pair, _ in self._close(robot.home)}
@@ -115,7 +116,7 @@ class SelfCollision:
     def _close(self, joint_position: ArrayLike) -> list[tuple[tuple[int, int], float]]:
         """Pairs of geoms within the margin, and their distances [m]."""
         data = self._data
-        data.qpos[self._places] = joint_position
+        data.qpos[:] = self._robot.configuration(joint_position)
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_collision(self._model, data)
         if not data.ncon:

@@ -12,7 +12,8 @@ from op3.rollout.schema import CHANNELS, normal_key, place
 from op3.rollout.units import UNITS, canonical
 
 _SPELLINGS: dict[str, str] = {
-    "command/position": "target goal command commanded cmd desired des ref reference setpoint action ctrl control",
+    "command/position": "target goal command commands commanded cmd desired des ref reference setpoint action ctrl"
+    " control",
     "joint/velocity": "velocity velocities vel speed speeds qvel dq qd dps rpm",
     "joint/current": "current currents cur amps ma",
     "joint/duty": "pwm duty",
@@ -27,7 +28,7 @@ _SPELLINGS: dict[str, str] = {
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
 """Words that say what is measured; of several in a name the first listed here counts."""
 
-_SENSED = ("present", "measured", "meas", "actual", "raw")
+_SENSED = ("present", "measured", "meas", "actual", "feedback", "raw")
 """Words that say that something was measured; a position where nothing says what."""
 
 _NO_POSITIONS = {normal_key(f"joint/{kind}") for kind in ("velocity", "current", "duty", "load", "voltage")}
@@ -51,6 +52,7 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         name: In the file.
         joints: Names the robot has; a joint that is nearly one of them is taken for it.
     """
+    name = _of_path(name)
     ours = place(name)
     if ours and (ours[0].axes != "joint" or not joints or ours[1] in joints):
         return Column(name)
@@ -92,6 +94,27 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     return Column(f"{joint}.position", unit, why=f"{name!r} names a joint") if joint in joints else None
 
 
+def _of_path(name: str) -> str:
+    """A name such as `/arm/commands/elbow/position` as `elbow command position`: joint, and what its topic says of it.
+
+    Names without a topic, and those of a trunk's sensors, stay as they are. An index stands for a joint.
+    """
+    parts = [part for part in name.split("/") if part]
+    words = [[word for word in re.split("[^a-z]+", part.lower()) if word] for part in parts]
+    said = {word for part in words for word in part}
+    if len(parts) < 2 or name[0] != "/" or {*_IMU, "imu", "header"} & said:
+        return name
+    commands = {word for word, key in _WORDS.items() if key == normal_key("command/position")}
+    about = [set(part) <= {*_WORDS, *_SENSED, *_FILLERS, "states"} for part in words]
+    kinds = [word for part in words[::-1] for word in part if word in _WORDS and word not in commands]
+    if not kinds:
+        return name
+    index = re.search(r"\d+(?=\]?$)", parts[-1])
+    own = next((part for part, is_about in zip(parts[::-1], about[::-1], strict=True) if not is_about), "")
+    told = "command " if commands & said and not {*_SENSED} & said else ""
+    return f"{index[0] if index and about[-1] else own} {told}{kinds[0]}"
+
+
 def _joint(name: str, joints: Sequence[str]) -> str:
     """The joint that a name means; the only one where the name is empty."""
     if not joints:
@@ -117,6 +140,18 @@ def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Col
         if column.name is not None and taken.setdefault(column.name, name) != name:
             column = Column(None, why=f"{taken[column.name]!r} means the same already")
         meanings[name] = column
+    placed = {name: place(column.name) for name, column in meanings.items() if column.name}
+    groups = {name: known[1] for name, known in placed.items() if known and known[0].axes == "joint"}
+    moved = {joint for name, joint in groups.items() if placed[name][0].required}  # pyright: ignore
+    for name, joint in groups.items() if moved else ():
+        if joint in moved or not meanings[name].why:
+            continue
+        # what has neither angle nor target is no joint; a lone joint's own where its names say nothing else
+        ours = str(meanings[name].name).replace(joint, next(iter(moved)), 1)
+        why = f"no column has an angle of {joint}"
+        lone = len(moved) == 1 and "servo" in moved and ours not in taken
+        meanings[name] = dataclasses.replace(meanings[name], name=ours) if lone else Column(None, why=why)
+        taken[ours] = name
     if any(str(column.name).endswith(".d_gain") for column in meanings.values()):  # a computer's loop, not a servo's
         for name, column in meanings.items():
             if str(column.name).endswith(".firmware_gain") and column.why:

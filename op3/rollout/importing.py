@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from op3.rollout.errors import LogError, located, rename
-from op3.rollout.guess import guess
+from op3.rollout.guess import guess, guess_all
 from op3.rollout.health.finding import WARNING, Finding
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
@@ -31,6 +31,9 @@ SHARED = "columns.yaml"
 
 HELD = 0.25
 """Time for which commands go on behind their last one [s]: the robot is told nothing new while it comes to rest."""
+
+_BLANK = 0.05
+"""Share of blank cells up to which a measured column has lost some, and was not stamped apart."""
 
 Columns = dict[str, np.ndarray]
 """By column of the wide CSV, [time]."""
@@ -114,9 +117,10 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         remedy = f"write the metadata (joints, robot, mount, rate) to {side.source.name} beside it"
         remedy += f", which `op3 import {path}` proposes"
         raise LogError("the sidecar is missing", remedy, source=side.source)
-    meanings = _meanings(recording, side)
+    guessed = _guessed(recording, side)
+    meanings = guessed | _meanings(recording, side)
     with located(source=path):
-        streams = [_named(s, meanings, recording, side) for s in recording.streams]
+        streams = [one for s in recording.streams for one in _stamped_apart(_named(s, meanings, recording, side))]
         time, columns = _one_clock(streams, side.options.split)
     name = recording.name or side_path(path).stem
     about = {"recording": name, "joints": _joints(columns), **recording.metadata, **side.metadata}
@@ -131,11 +135,30 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
         _mend(chosen, side)
         with located(source=path):
             arrays = _arrays(chosen, metadata, recording.strict, side)
-            unread = [one for one in recording.doubts if one.column not in side.options.columns]
-            unread += _unread(arrays, metadata.joints) + _unshared(time, streams)
+            known = {*side.options.columns, *(f"field {name}" for name in side.metadata)}
+            unread = [one for one in recording.doubts if one.column not in known]
+            unread += _unread(arrays, metadata.joints) + _unshared(time, streams) + _told(guessed)
             log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
             logs.append(log.with_findings(unread))
     return logs
+
+
+def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
+    """Meanings by name of columns of which none is ours, where the YAML beside them says nothing of columns."""
+    names = [name for stream in recording.streams for name in stream.columns]
+    ours = any(known[0].axes == "joint" for known in map(place, names) if known)
+    joints = side.metadata.get("joints")
+    if not recording.strict or side.options.columns or ours or not isinstance(joints, list | tuple):
+        return {}
+    return guess_all(names, list(map(str, joints)))
+
+
+def _told(guessed: Mapping[str, Column]) -> list[Finding]:
+    """A warning that names alone say what columns are."""
+    read = [f"{name} as {column.name}" for name, column in guessed.items() if column.name]
+    problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: names of columns were guessed"
+    remedy = "write them under `columns:` in the YAML"
+    return [Finding(WARNING, problem, remedy, "columns", check="names")] if read else []
 
 
 def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
@@ -177,6 +200,30 @@ def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, si
         remedy = "add time [s], or name the column of the time under `columns:`"
         raise LogError("the required column is missing", remedy, column="time", row="header")
     return Stream(columns.pop("time", stream.time), columns)
+
+
+def _stamped_apart(stream: Stream) -> list[Stream]:
+    """A stream for each set of rows in which columns hold numbers: blank cells are of rows that others were stamped in.
+
+    A command holds until the next, also behind its last one. Where positions stand in every row, other blanks are lost.
+    """
+    there = {name: np.isfinite(values) for name, values in stream.columns.items()}
+    apart = any(name.endswith(".position") and rows.mean() < 1 - _BLANK for name, rows in there.items())
+    groups: dict[bytes, list[str]] = {}
+    for name, rows in there.items():
+        often = rows.all() or not rows.any() or not (_is_held(name) or (apart and rows.mean() < 1 - _BLANK))
+        groups.setdefault(b"" if often else rows.tobytes(), []).append(name)
+    if len(groups) < 2 and not any(groups):
+        return [stream]
+    streams = []
+    for rows, names in sorted(groups.items(), key=lambda item: not any(n.endswith(".position") for n in item[1])):
+        kept = np.frombuffer(rows, bool) if rows else np.ones(len(stream.time), bool)
+        time, columns = stream.time[kept], {name: stream.columns[name][kept] for name in names}
+        if not kept[-1] and all(map(_is_held, names)):
+            time = np.append(time, stream.time[-1])
+            columns = {name: np.append(values, values[-1]) for name, values in columns.items()}
+        streams.append(Stream(time, columns))
+    return streams
 
 
 def _unknown(name: str, position: int, side: Side) -> LogError:

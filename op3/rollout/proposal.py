@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from op3.robot import load_robot
@@ -34,9 +35,14 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     known = load_robot(robot) if robot else None
     columns = guess_all([n for stream in found.streams for n in stream.columns], list(called(known)) if known else ())
     columns |= {name: column for name, column in found.columns.items() if name in columns}
+    doubts = [f"{one.problem}; {one.remedy}" for one in found.doubts]
+    values = {name: column for stream in found.streams for name, column in stream.columns.items()}
     about = {"robot": "real", "mount": "stand", **found.metadata, **read_side(path).metadata}
     if known is not None:
-        columns = {name: _of_robot(column, known) for name, column in _by_number(columns, known).items()}
+        columns = _by_number(columns, known)
+    columns, guessed = _in_counts(columns, values, known)
+    if known is not None:
+        columns = {name: _of_robot(column, known) for name, column in columns.items()}
         if not any(column.name and column.name.rpartition(".")[0] in known.joints for column in columns.values()):
             problem = f"it names none of the joints of {known.name}, which are {', '.join(known.joints)}"
             remedy = "give the robot that made it; or import it without robot=, and correct the names in the YAML"
@@ -45,17 +51,60 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
         # its terms are in the columns
         about |= {"joints": [joint for joint in known.joints if joint in there], "robot_file": known.reference}
     about = {name: value for name, value in about.items() if value not in (None, {}, [])}
-    return about, columns, [f"{one.problem}; {one.remedy}" for one in found.doubts]
+    return about, columns, doubts + guessed
+
+
+def _in_counts(
+    columns: dict[str, Column], values: Mapping[str, np.ndarray], robot: Robot | None
+) -> tuple[dict[str, Column], list[str]]:
+    """The columns, with angles that are an encoder's counts in its unit, and what is guessed of that.
+
+    Whole numbers beyond any angle are counts. The robot's file knows the servo; else those of 4096 a turn stand around
+    2048, and those of 1024 in 300 degrees around 512.
+    """
+    kind = {name: str(column.name).rpartition(".")[2] for name, column in columns.items()}
+    angles = {name for name in columns if kind[name] in ("position", "target")}
+    said = {name for name in angles if "counts" in str(columns[name].unit)}
+    whole = {n for n in angles if columns[n].unit is None and columns[n].offset == 0 and _whole(values[n])}
+    chosen = said or (whole if any(np.abs(values[name]).max() > 360 for name in whole) else set())
+    if not chosen:
+        return columns, []
+    numbers = np.concatenate([values[name][np.isfinite(values[name])] for name in chosen])
+    small = numbers.max() < 1024 and numbers.min() >= 0 and 256 < np.median(numbers) < 768
+    unit = "counts of 1024 in 300 deg" if small else "counts of 4096 a turn"
+    found, why = dict(columns), f"whole numbers of {numbers.min():g} to {numbers.max():g}"
+    for name, column in columns.items():
+        joint = called(robot).get(str(column.name).rpartition(".")[0]) if robot and column.name else None
+        make = robot.servo(joint) if robot and joint else None
+        size, zero = (unit, 0.0) if make is None else (make.position_unit, make.counts.zero.si)
+        if name in chosen:
+            offset = -zero * size if isinstance(size, float) else 0.0
+            found[name] = dataclasses.replace(column, unit=size, offset=offset, why=why)
+        elif make and kind[name] == "velocity" and column.unit is None and _whole(values[name]):
+            found[name] = dataclasses.replace(column, unit=make.counts.velocity.si, why=why)
+    if robot is not None:
+        return found, []
+    others = "a servo of 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
+    other = f"those of {others}, in their middle" if small else f"those of 4096 a turn, and not of {others}"
+    return found, [f"{why} are taken for {other}; name the servo's own `unit:` where it is another"]
+
+
+def _whole(values: np.ndarray) -> bool:
+    there = values[np.isfinite(values)]
+    return bool(len(there)) and bool((there == np.round(there)).all())
 
 
 def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
-    """The columns with the robot's joints in their order, where the file numbers as many joints as it has."""
+    """The columns with the robot's joints by their bus ids, or in their order, where the file numbers as many."""
     joints = {name: str(column.name).rpartition(".")[0] for name, column in columns.items() if column.name}
-    numbers = {joint: found[1] for joint in joints.values() if (found := re.fullmatch(r"(?:[a-z]+_)?(\d+)", joint))}
+    numbers = {j: int(found[1]) for j in joints.values() if (found := re.fullmatch(r"(?:[A-Za-z]+_?)?(\d+)", j))}
     if len(numbers) != len(robot.joints) or numbers.keys() & called(robot).keys():
         return columns
-    named = dict(zip(sorted(numbers, key=lambda joint: int(numbers[joint])), robot.joints, strict=True))
-    why = f"the order of the joints of {robot.name}"
+    ids, why = {number: joint for joint, number in robot.bus_ids.items()}, f"the bus ids of {robot.name}"
+    if ids.keys() != set(numbers.values()):
+        ids = dict(zip(sorted(numbers.values()), robot.joints, strict=True))
+        why = f"the order of the joints of {robot.name}"
+    named = {joint: ids[number] for joint, number in numbers.items()}
     return columns | {
         name: dataclasses.replace(columns[name], name=str(columns[name].name).replace(joint, named[joint], 1), why=why)
         for name, joint in joints.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import glob
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -20,7 +21,7 @@ Paths = str | Path | Iterable[str | Path]
 
 def kinds() -> str:
     """What may be named, in words."""
-    return "a rollout folder, a wide .csv with its sidecar, or " + ", ".join(
+    return "a rollout folder, a wide .csv with its sidecar, " + ", ".join(
         f"{reader.title} ({reader.paths})" for name, reader in readers().items() if name not in ("folder", "csv")
     )
 
@@ -128,7 +129,11 @@ def reader_of(path: Path) -> Reader:
         problem = (
             f"no {METADATA_FILE} in this folder" if path.is_dir() else f"the ending {path.suffix!r} is not a log's"
         )
-        problem = problem if path.exists() else "there is no such file"
+        if not path.exists():
+            there = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
+            named = [str(path.parent / name) for name in difflib.get_close_matches(path.name, there, n=1)]
+            remedy = f"correct it to {named[0]} if that is meant" if named else "correct the path of the log"
+            raise LogError("there is no such file or folder", remedy, source=path)
         raise LogError(problem, f"name {kinds()}", source=path)
     return reader
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
+import yaml
 from tensordict import TensorDict, TensorDictBase
 
 from op3.robot.robot import DEFAULT, Robot, load_robot
@@ -147,6 +148,15 @@ class Rollout:
         """Twelve hex digits that tell one recording from another by its times and angles, whatever it is called."""
         parts = (np.ascontiguousarray(self.array(key)).tobytes() for key in ("time", "joint/position"))
         return hashlib.sha256(b"".join(parts)).hexdigest()[:12]
+
+    def content_hash(self) -> str:
+        """Twelve hex digits of everything a simulation of the recording depends on: channels, set-aside columns and
+        metadata, but not its name, its date and the version of the code."""
+        about = {k: v for k, v in self.metadata.to_dict().items() if k not in ("recording", "date", "git_hash", "seed")}
+        digest = hashlib.sha256(yaml.safe_dump(about).encode())
+        for key in self.channels:
+            digest.update(key_name(key).encode() + np.ascontiguousarray(self.array(key)).tobytes())
+        return digest.hexdigest()[:12]
 
     def array(self, key: str | tuple[str, ...]) -> np.ndarray:
         """A channel as numpy, [time, last axis] or [episode, time, last axis], without copying."""

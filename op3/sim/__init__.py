@@ -1,7 +1,6 @@
 """Robots stepped at 1 ms with the servo law between steps, many at once or one inside a composer task."""
 
 from op3.assets import find_model, model_names
-from op3.sim.base import roll_pitch_yaw
 from op3.sim.batch_simulation import BatchSimulation
 from op3.sim.geared_servo import GearedServo
 from op3.sim.model_file import load_model, model_hash, save_model
@@ -9,6 +8,7 @@ from op3.sim.pendulum_simulation import PendulumSimulation
 from op3.sim.ports import ServoPorts, attach_servos
 from op3.sim.servo_models import model_for, servo_model
 from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
+from op3.sim.trunk_sensors import roll_pitch_yaw
 from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
 
 __all__ = [

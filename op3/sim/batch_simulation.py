@@ -11,11 +11,11 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from op3.servo import RobotModel, Servos
-from op3.sim.base import Base, readings, undo_sensing
 from op3.sim.edits import edited_fields
 from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.ports import ServoPorts
+from op3.sim.trunk_sensors import Base, readings, undo_sensing
 
 
 class BatchSimulation:

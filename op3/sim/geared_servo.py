@@ -11,11 +11,11 @@ from dm_control.composer.observation import observable
 from torch import Tensor
 
 from op3.servo import RobotModel, Servos
-from op3.sim.base import Base, readings
 from op3.sim.edits import edited_fields, model_field
 from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.ports import ServoPorts, attach_servos
+from op3.sim.trunk_sensors import Base, readings
 
 
 class GearedServo(composer.Entity):

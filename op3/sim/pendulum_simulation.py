@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.robot.units import GRAVITY
+from op3.robot.register_units import GRAVITY
 from op3.servo import RobotModel, Servos
 from op3.servo.machine_code import entry
-from op3.sim.base import readings, undo_sensing
 from op3.sim.edits import LINK, ROTOR
 from op3.sim.inputs import expand_parameters, fresh_start, set_commands
+from op3.sim.trunk_sensors import readings, undo_sensing
 
 PD_PERIOD = 0.008
 """Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
@@ -49,7 +49,7 @@ class PendulumSimulation:
                 if edit not in (ROTOR, LINK):
                     raise ValueError(
                         f"effect {effect.name!r} changes {edit.field} of {edit.target}, but a bench has no such thing;"
-                        " leave the effect out, or give a model of one servo, such as model=coulomb_viscous"
+                        " leave the effect out, or give a model of one servo, such as model=rhoban_m1"
                     )
         self.model = model
         self.timestep = timestep

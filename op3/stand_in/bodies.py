@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from op3.robot.kinematics import rotation_matrix
 from op3.stand_in.hidden import Hidden
-from op3.stand_in.kernel import TICK, step_limbs, step_servos
-from op3.stand_in.servos import Servos
+from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.integration import TICK, step_limbs, step_servos
 
 Array = NDArray[np.float64]
 
@@ -62,21 +62,23 @@ class Limbs:
         self._servos = servos
         self.model, names = limb_model(model, elastic=mount[0] > 0)
         self.data = self.model.createData()
-        self._index = np.array([names.index(name) for name in joints])
         self._bases = len(names) - model.nv
+        self._freedoms = _Freedoms(model, names, self._bases)
+        self._index = np.array([self._freedoms.names.index(name) for name in joints])
         armature = np.concatenate([np.zeros(self._bases), model.dof_armature])
-        armature[self._index] = servos.output_inertia
+        armature[[names.index(name) for name in joints]] = servos.output_inertia
         self.model.armature = armature
-        count = self.model.nv
+        count = len(self._freedoms.names)
         self.position, self.velocity, self.acceleration = np.zeros((3, count))
         self._gravity = -np.array(model.opt.gravity)
-        self._start = np.concatenate([np.zeros(self._bases), model.qpos0])
+        start = np.concatenate([np.zeros(self._bases), model.qpos0])
+        self._start = start[self._freedoms.own]
         base = mujoco.MjData(model)
         mujoco.mj_kinematics(model, base)
         self._level = base.xmat[int(np.argmax(model.body_mass > 0))].reshape(3, 3).copy()
         self._mount = np.zeros((self._bases, 2))
         if self._bases:
-            inertia = np.diag(pinocchio.crba(self.model, self.data, self._start))[:2]
+            inertia = np.diag(pinocchio.crba(self.model, self.data, start))[:2]
             rate = 2 * np.pi * mount[0]
             self._mount = np.stack([inertia * rate**2, 2 * mount[1] * inertia * rate], 1)
 
@@ -88,10 +90,12 @@ class Limbs:
         self.position[:] = self._start
         self.position[self._index] = joint_position
         if qpos is not None:
-            self.position[self._bases :] = qpos
+            self.position[self._bases :] = np.concatenate([np.zeros(self._bases), qpos])[self._freedoms.own][
+                self._bases :
+            ]
         self.velocity[:] = self.acceleration[:] = 0
         if self._bases:
-            held = pinocchio.computeGeneralizedGravity(self.model, self.data, self.position)
+            held = pinocchio.computeGeneralizedGravity(self.model, self.data, self._freedoms.all(self.position))
             self.position[: self._bases] = -held[: self._bases] / self._mount[:, 0]
         self._servos.states["position"] = self.position[self._index]
         self._servos.states["velocity"] = 0
@@ -103,8 +107,7 @@ class Limbs:
         ahead = self.velocity + 0.5 * TICK * self.acceleration
         half = 0.5 * (TICK - step)
         place = self.position + half * (self.velocity + 0.5 * (step + half) * self.acceleration)
-        self._inverse = pinocchio.computeMinverse(self.model, self.data, place)
-        self._bias = pinocchio.nonLinearEffects(self.model, self.data, place, ahead)
+        self._inverse, self._bias = self._freedoms.dynamics(self.model, self.data, place, ahead)
 
     def run(self, count: int) -> None:
         """Make `count` steps with the inertia of this tick."""
@@ -135,21 +138,77 @@ class Limbs:
 
     def energy(self) -> float:
         """Kinetic and potential energy of the limbs [J]."""
-        return float(pinocchio.computeMechanicalEnergy(self.model, self.data, self.position, self.velocity))
+        place, speed = self._freedoms.all(self.position), self._freedoms.spread @ self.velocity
+        return float(pinocchio.computeMechanicalEnergy(self.model, self.data, place, speed))
+
+
+class _Freedoms:
+    """Which joints move on their own; the others follow them or are held, as the model's equalities say.
+
+    Args:
+        model: compiled.
+        names: of all degrees of freedom, the mount's first.
+        bases: how many of these are the mount's.
+
+    Attributes:
+        own: numbers of those that move on their own.
+        names: of these.
+        spread: all velocities from these, ``[freedom, own]``.
+    """
+
+    def __init__(self, model: mujoco.MjModel, names: Sequence[str], bases: int):
+        spread, self._offset = np.eye(len(names)), np.zeros(len(names))
+        followers = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)
+        for number in followers:
+            joint, driver = (bases + int(ids[number]) for ids in (model.eq_obj1id, model.eq_obj2id))
+            self._offset[joint], ratio = model.eq_data[number, :2]
+            spread[joint] = ratio * spread[driver] if driver >= bases else 0.0
+        self.own = np.setdiff1d(np.arange(len(names)), bases + model.eq_obj1id[followers])
+        self.names = [names[number] for number in self.own]
+        self.spread = spread[:, self.own]
+        rest = (
+            (np.zeros(bases), model.dof_damping),
+            (np.zeros(bases), _stiffness(model)),
+            (np.zeros(bases), model.qpos0),
+        )
+        self._damping, self._spring, self._rest = (np.concatenate(parts) for parts in rest)
+        self._all_own = len(self.own) == len(names)
+
+    def all(self, position: Array) -> Array:
+        """Positions of all from those of the own [freedom]."""
+        return self.spread @ position + self._offset
+
+    def dynamics(
+        self, model: pinocchio.Model, data: pinocchio.Data, position: Array, velocity: Array
+    ) -> tuple[Array, Array]:
+        """Inverse of the inertia of the own, ``[own, own]``, and the torques of gravity, speed and passive joints."""
+        place, speed = self.all(position), self.spread @ velocity
+        bias = pinocchio.nonLinearEffects(model, data, place, speed)
+        bias = bias + self._damping * speed + self._spring * (place - self._rest)
+        if self._all_own:
+            return pinocchio.computeMinverse(model, data, place), bias
+        inertia = np.triu(pinocchio.crba(model, data, place))
+        inertia = inertia + np.triu(inertia, 1).T
+        return np.linalg.inv(self.spread.T @ inertia @ self.spread), self.spread.T @ bias
+
+
+def _stiffness(model: mujoco.MjModel) -> Array:
+    """Linear stiffness of every joint [joint]."""
+    return model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
 
 
 def limb_model(model: mujoco.MjModel, elastic: bool = False) -> tuple[pinocchio.Model, list[str]]:
     """Pinocchio's model of the bodies of a MuJoCo model.
 
     Args:
-        model: whose joints are all hinges.
+        model: whose joints are hinges and slides.
         elastic: whether the base may roll and pitch, by two joints that come first.
 
     Returns:
         The model, and the names of its degrees of freedom.
 
     Raises:
-        ValueError: if a joint is not a hinge.
+        ValueError: if a joint is a ball.
     """
     made = pinocchio.Model()
     names: list[str] = []
@@ -167,13 +226,16 @@ def limb_model(model: mujoco.MjModel, elastic: bool = False) -> tuple[pinocchio.
                 frame = pinocchio.SE3.Identity()
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             name = model.joint(joint).name
-            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            kinds = {
+                mujoco.mjtJoint.mjJNT_HINGE: pinocchio.JointModelRevoluteUnaligned,
+                mujoco.mjtJoint.mjJNT_SLIDE: pinocchio.JointModelPrismaticUnaligned,
+            }
+            if (kind := kinds.get(int(model.jnt_type[joint]))) is None:
                 raise ValueError(
-                    f"on a fixed base the stand-in moves hinges alone; joint {name!r} is none: take a floor"
+                    f"on a fixed base the stand-in moves hinges and slides; joint {name!r} is neither: take a floor"
                 )
             at = pinocchio.SE3(np.eye(3), np.array(model.jnt_pos[joint]))
-            axis = np.array(model.jnt_axis[joint])
-            carrier = made.addJoint(carrier, pinocchio.JointModelRevoluteUnaligned(axis), frame * at, name)
+            carrier = made.addJoint(carrier, kind(np.array(model.jnt_axis[joint])), frame * at, name)
             names.append(name)
             frame = at.inverse()
         carriers.append((carrier, frame))

@@ -26,8 +26,8 @@ from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
 from op3.stand_in.play import play
-from op3.stand_in.robot import StandIn
-from op3.stand_in.settings import SETTINGS, Setting
+from op3.stand_in.stand_in_robot import StandIn
+from op3.stand_in.suites import SETTINGS, Setting
 from op3.stand_in.world import BENCH_RANGES, Ranges, World
 
 CASE_KINDS: tuple[str, ...] = ("single", "pair", "null", "outsider", "poor")

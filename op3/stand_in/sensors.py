@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot.units import (
+from op3.robot.register_units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
     GYRO_UNIT,
 )
-from op3.stand_in.kernel import TICK
+from op3.stand_in.integration import TICK
 from op3.stand_in.world import World
 
 IMU_EVERY = 5

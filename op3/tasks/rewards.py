@@ -17,7 +17,7 @@ from torch import Tensor
 
 from op3.policy.heading import wrapped
 from op3.robot import Robot
-from op3.robot.units import GRAVITY
+from op3.robot.register_units import GRAVITY
 
 if TYPE_CHECKING:
     from op3.tasks.state import State

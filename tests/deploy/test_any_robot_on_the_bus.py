@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from op3.deploy import Player
-from op3.deploy.deploy import connect
+from op3.deploy.connection import connect
 from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.emulator import EmulatedRobot, SimPhysics, VirtualPort
 from op3.robot import build_scene, load_robot, multisine

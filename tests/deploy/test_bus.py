@@ -10,8 +10,8 @@ from op3.deploy.dynamixel_bus import BOARD, NoAnswer, Refused
 from op3.deploy.emulator import Faults, Silent
 from op3.deploy.protocol import ALERT, encode_fast_status, fast_answers
 from op3.deploy.registers import HardwareError
+from op3.deploy.robot_state import BLOCKS, CONTENTS, Calibration
 from op3.deploy.safety import Safety
-from op3.deploy.state import BLOCKS, CONTENTS, Calibration
 from op3.robot import pose
 from tests.op3_table import JOINTS, SERVO_IDS
 

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from op3.deploy.commands import Gamepad, Keyboard, Schedule, command_source
+from op3.deploy.command_sources import Gamepad, Keyboard, Schedule, command_source
 from op3.deploy.policy_runner import STOPPING, FollowPolicy
 from op3.tasks.task import POLICY_PERIOD
 

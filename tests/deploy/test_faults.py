@@ -333,3 +333,14 @@ def test_a_turn_that_is_lost_before_the_first_reading_drives_nothing(tmp_path):
     assert outcome.code == ExitCode.POSITION_JUMP
     assert "position of l_knee jumped by +5." in outcome.reason
     assert np.abs(goals(rig)[1]).max(initial=0) == 0
+
+
+def test_a_servo_whose_torque_another_program_switches_off_ends_the_run(tmp_path):
+    """It answers as before, and no current follows its goal: the register is read back within some ticks."""
+    rig = make_rig(tmp_path)
+    rig.robot.at(START, lambda: rig.robot.servos["l_knee"].write(64, bytes([0])))
+    outcome = go(rig)
+    assert outcome.code == ExitCode.TORQUE_LOST
+    assert outcome.reason.startswith("torque of l_knee was switched off by another program")
+    assert_released(rig, outcome)
+    assert START < torque_off(rig) < START + 0.3

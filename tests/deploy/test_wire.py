@@ -11,7 +11,7 @@ from op3.deploy.limits import Limits
 from op3.deploy.phases import GainRamp, Hold, Move
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction, Parser, fast_answers
-from op3.deploy.state import CONTENTS
+from op3.deploy.robot_state import CONTENTS
 from op3.robot import pose
 from tests.op3_table import IS_LEG, JOINTS, OP3, SERVO_IDS
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, base_numbers, damped, gap_of, search, settle, unfitted
-from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_own_spread
+from op3.diagnose.base import Base, End, apart, as_usual, base_numbers, damped, gap_of, search, settle, unfitted
+from op3.diagnose.coordinates import any_spread, base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.doubts import doubts, freed, unusual
 from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
@@ -98,7 +98,7 @@ def test_a_number_at_its_bound_is_a_doubt_where_logs_exercise_it():
     assert doubt.startswith("torque_constant hit its upper bound")
     other = point.copy()
     other[at] = coordinates.low[at]
-    twice = Base(base.linear, certain, ((other, 3.0),))  # type: ignore[arg-type]
+    twice = Base(base.linear, certain, (End(coordinates, other, -3.0),))  # type: ignore[arg-type]
     assert "with other torque_constant" in doubts(twice)[1]
     prior = SimpleNamespace(covariance=np.diag(coordinates.deviation**2))
     assert doubts(Base(base.linear, prior)) == ()  # type: ignore[arg-type]
@@ -127,6 +127,42 @@ def test_servos_differ_as_most_of_the_robot_do():
     assert untold.entries[own[0]].deviation == pytest.approx(coordinates.entries[own[0]].deviation)
     before, after = (coordinates.values(one[None])["coulomb_friction"] for one in (point, moved))
     assert after.numpy() == pytest.approx(before.numpy())
+
+
+def test_a_servo_far_from_the_others_is_pulled_back_little():
+    """Student's prior of 4 degrees of freedom, 20 standard deviations out, pulls like a normal one that is
+    sqrt((4 + 400) / 5) times as wide; where it is expected like one a little narrower."""
+    coordinates = any_spread(base_coordinates(with_chain(load_model("paper")), LEG_JOINTS), 4.0)
+    i = next(i for i, entry in enumerate(coordinates.entries) if entry.of_servo)
+    point, step = coordinates.prior.copy(), 1e-5
+    assert coordinates.deviation_at(point)[i] == pytest.approx(coordinates.deviation[i] * np.sqrt(0.8))
+    point[i] = 20 * coordinates.deviation[i]
+    ends = np.stack([point, point])
+    ends[:, i] += np.array([-step, step])
+    low, high = coordinates.penalties(ends)
+    wide = coordinates.deviation_at(point)[i]
+    assert wide == pytest.approx(coordinates.deviation[i] * np.sqrt(404 / 5))
+    assert (high - low) / (2 * step) == pytest.approx(2 * point[i] / wide**2, rel=1e-6)
+
+
+def test_one_bad_servo_does_not_move_what_all_share(truth):
+    """Four times the friction in a knee: the baseline fit finds it there, leaves the friction of all others, and then
+    takes the knee as near to them as a sound one would be."""
+    bad = truth.with_values({"coulomb_friction": Estimate(0.1, joints={"r_knee": 0.4})})
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    reduction = Reduction(WindowResiduals(planned_suite(bad, runs), windows=24))
+    usual = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
+    free = any_spread(usual, 4.0)
+    base = settle(reduction, free, apart(reduction, free, usual.start))
+    base = settle(reduction, *with_own_spread(free, base.point, base.told, Settings()))
+    sound = as_usual(reduction, base)
+    friction = {"free": base, "sound": sound}
+    found = {name: one.coordinates.values(one.point[None])["coulomb_friction"][0] for name, one in friction.items()}
+    knee = LEG_JOINTS.index("r_knee")
+    others = [j for j in range(len(LEG_JOINTS)) if j != knee]
+    assert found["free"][knee] == pytest.approx(0.4, rel=0.1)
+    assert found["sound"][others].numpy() == pytest.approx(0.1, rel=0.15)
+    assert found["sound"][knee] < 0.16
 
 
 def test_the_search_finds_a_basin(logs):
@@ -198,10 +234,10 @@ def test_a_delay_is_unusual_of_a_model_that_has_none(truth):
     base = settle(reduction, base.coordinates, base.point)
     for given, told in (("paper", []), ("paper_without_latency", ["command_latency"])):
         found = unusual(load_model(given), base, base.fit, base_numbers(base.coordinates, base.point))
-        names = [(i, held) for i, odds, _, held in found if odds > 6]
-        assert [base.coordinates.entries[i].parameter for i, _ in names] == told
-        for i, held in names:
-            free, usual = freed(reduction, base, i, held)
+        far = [one for one in found if one.log_odds > 6]
+        assert [base.coordinates.entries[one.number].parameter for one in far] == told
+        for one in far:
+            free, usual = freed(reduction, base, one.number, one.held)
             assert gap_of(reduction, usual, free) / 2 > 6
 
 

@@ -8,7 +8,7 @@ import pytest
 from op3.replay.smoothing import VELOCITY_LAG, VELOCITY_NOISE, SmoothLog, smooth, smooth_all, velocity_sensing
 from op3.replay.supply import open_voltages
 from op3.robot import leg_suite
-from op3.robot.units import POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
+from op3.robot.register_units import POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.rollout import Rollout
 from op3.stand_in import World, draw_case, record_case
 

@@ -5,7 +5,7 @@ import pytest
 
 from op3.diagnose import Diagnosis, Settings, split_logs
 from op3.robot import leg_suite
-from op3.robot.units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
+from op3.robot.register_units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import CableSpring

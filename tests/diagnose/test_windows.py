@@ -9,7 +9,7 @@ import pytest
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import with_chain
 from op3.robot import chirp, leg_suite, load_robot, multisine, squat
-from op3.robot.units import CURRENT_UNIT
+from op3.robot.register_units import CURRENT_UNIT
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model, servo_model

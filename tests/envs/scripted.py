@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.envs.traces import Traces
+from op3.envs.step_traces import Traces
 
 
 def still(steps: int, **changed: Any) -> Traces:

@@ -6,7 +6,7 @@ import torch
 
 from op3.envs import make_env
 from op3.envs.gait_validity import gait_validity, judged_episodes
-from op3.envs.traces import Watch
+from op3.envs.step_traces import Watch
 from op3.tasks import find_task
 from tests.envs.scripted import still
 from tests.op3_table import CONTROLLED_JOINTS

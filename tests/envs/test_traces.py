@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from op3.envs import make_env
-from op3.envs.traces import Watch, touchdowns
-from op3.robot.units import GRAVITY
+from op3.envs.step_traces import Watch, touchdowns
+from op3.robot.register_units import GRAVITY
 
 
 def test_touchdowns_of_a_scripted_contact():

@@ -56,7 +56,7 @@ def test_one_process(log, heldout, tmp_path):
     told = [*numbers["identifiability.identifiable"], *numbers["identifiability.not_identifiable"]]
     assert sorted(told) == sorted(numbers["identifiability.parameters"])
     assert len(numbers["identifiability.singular_values"]) == 10
-    assert "What the logs tell" in page.read_text()
+    assert "Identifiability" in page.read_text()
     assert load_model(folder / "model.yaml").value("torque_constant") == numbers["parameters.torque_constant"]["value"]
 
 

@@ -9,7 +9,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from op3.apps.job import CommandResult, configured, one_sentence
+from op3.apps.command_result import CommandResult
+from op3.apps.job import configured, one_sentence
 from op3.apps.sentences import as_sentence
 from op3.policy import PolicyBundle
 from op3.report import read_result

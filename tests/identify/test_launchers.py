@@ -40,4 +40,4 @@ def test_a_launcher_gives_the_trials_of_one_process(launcher, tmp_path):
     assert len({trial.user_attrs["pid"] for trial in study.trials}) == 2
     assert (folder / "report.txt").read_text() == "study 8\n"
     jobs = {entry.name for entry in (folder / "populations").iterdir() if entry.name.isdigit()}
-    assert jobs == {"0", "1"}
+    assert jobs == {"0", "1", "2"}  # what the study begins with, and two populations

@@ -9,7 +9,7 @@ import torch
 from optuna.distributions import FloatDistribution
 
 from op3.envs import BatchedEnv, record_episodes
-from op3.identify.episodes import check_episode, that_count
+from op3.identify.failed_episodes import check_episode, that_count
 from op3.identify.level_set_sampler import IMAGE, MISFIT
 from op3.identify.reidentification import PLAUSIBLE, Reidentification
 from op3.identify.study import run_study

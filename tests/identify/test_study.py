@@ -264,3 +264,21 @@ def test_unusable_storages_get_a_sentence(tmp_path):
     with pytest.raises(StudyError, match="not an Optuna journal"):
         open_storage(foreign)
     assert foreign.read_text().endswith("half a li")
+
+
+@pytest.mark.parametrize("part", ["logs", "model"])
+def test_a_study_of_other_data_is_refused_before_its_trials_answer(part, tmp_path):
+    """A finished study answers only for the logs and the model that its trials were evaluated on."""
+    path, identity = tmp_path / "study.journal", {"logs": "a", "model": "m"}
+    first = quick_study(storage=path, identity=identity)
+    with pytest.raises(StudyError, match=f"has other {part} than this run"):
+        quick_study(storage=path, identity={**identity, part: "other"})
+    assert points(quick_study(storage=path, identity=identity)) == points(first)
+
+
+def test_a_study_that_does_not_say_what_it_is_of_is_refused(tmp_path):
+    """Trials without an identity may be of any logs."""
+    path = tmp_path / "study.journal"
+    quick_study(storage=path)
+    with pytest.raises(StudyError, match="has other logs than this run"):
+        quick_study(storage=path, identity={"logs": "a"})

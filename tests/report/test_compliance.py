@@ -4,14 +4,14 @@ import numpy as np
 
 from op3.compliance.backdrive import BackDrive
 from op3.compliance.compare import difference
+from op3.compliance.compliance_study import Measured, Passed
 from op3.compliance.energy import Energy
 from op3.compliance.gains import BINS, SITUATIONS, Gains
 from op3.compliance.landing import Landings
 from op3.compliance.leading import Led
 from op3.compliance.pushing import Survival
-from op3.compliance.study import Measured, Passed
 from op3.report import RunFolder, read_result
-from op3.report.compliance import report_compliance
+from op3.report.compliance_page import report_compliance
 from tests.op3_table import CONTROLLED_JOINTS, JOINTS
 
 

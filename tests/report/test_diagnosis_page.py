@@ -8,7 +8,7 @@ from op3.diagnose.held_out import Gain
 from op3.diagnose.verdict import Alternative, Finding, JointGap
 from op3.diagnose.window_gaps import StageGap, WindowGaps
 from op3.report import RunFolder
-from op3.report.diagnosis import report_diagnosis
+from op3.report.diagnosis_page import report_diagnosis
 from op3.servo import effect_class
 from op3.sim import load_model
 

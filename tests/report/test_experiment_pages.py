@@ -63,7 +63,8 @@ def test_an_identification_is_compared_told_and_marked(tmp_path, bench):
     report_identification(*fits, RunFolder(tmp_path, {}), wall_seconds=2.0)
     what = ("mean position error is 11 mrad", "22 mrad") if bench else ("loss is 0.3", "0.6")
     text = read(tmp_path)
-    assert f"With DTE the {what[0]}, without DTE {what[1]}; at its bound: backward efficiency." in text
+    assert f"With DTE the {what[0]}, without DTE {what[1]}; on held-out logs " in text
+    assert "At the bound of its range: backward efficiency." in text
     assert "Nobody knows the sum." in text
     assert ("Error of every run" in text) == bench
     assert ("Held out: " in text) != bench
@@ -83,7 +84,7 @@ def test_a_training_ends_with_its_best_policy(tmp_path):
     shown = {"settings": {"algorithm.n_step": 5}, "histograms": {}, "files": {"episode.mp4": "a film"}}
     report_training(history, RunFolder(tmp_path, {}), title="Training: balance", numbers=numbers, **shown)
     text = read(tmp_path)
-    assert "ends 75 % of its final episodes upright, with a mean return of 29.0." in text
+    assert "does not fall in 75 % of its final episodes; their mean return is 29.0." in text
     assert "1.5 min" in text.replace("  ", " ")
     assert read_result(tmp_path / "result.yaml")["learning.return"] == [10.0, 20.0, 30.0]
 
@@ -102,8 +103,8 @@ def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
     said = {"label": "walk", "task": "walk", "returns": {"walk": [197.0, 203.0]}, "joint": "r_ank_pitch", "files": {}}
     report_evaluation([log, log], RunFolder(tmp_path, {}), numbers=numbers, profile=profile, **said)
     text = read(tmp_path)
-    assert "The policy does what the task asks in 1 of 2 episodes and ends 1 without failing." in text
-    assert "Its mean return under R_eval is 200.0 (standard deviation 3.0)." in text
+    assert "1 of 2 episodes succeed, 1 end without failing" in text
+    assert "R_eval 200.0 (standard deviation 3.0)." in text
     assert all((part in text) == walks for part in ("95 %: 0.3 to 1", "more R_eval than hold", "over the gait"))
 
 

@@ -15,7 +15,7 @@ from PIL import Image
 from report_logs import PageReader, squat_log
 
 from op3.report.page import LIBRARY, PROSE_TEMPLATES, Page
-from op3.report.traces import traces_figure
+from op3.report.trace_figures import traces_figure
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

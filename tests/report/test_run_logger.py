@@ -7,18 +7,20 @@ import plotly.graph_objects as go
 import pytest
 
 from op3.report.run_logger import RunLogger, artifact_name, sweep_group
+from op3.wandb_settings import WandbSettings
 
 
 def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, capfd):
     """The run's file holds group, config, values and summary; the figure lies beside it; all is quiet."""
     monkeypatch.setenv("WANDB_MODE", "offline")
-    with RunLogger(tmp_path / "squats" / "0", config={"budget": 2000}) as logger:
+    named = WandbSettings(project="legs", tags=["first"], name="squat-s0")
+    with RunLogger(tmp_path / "squats" / "0", config={"budget": 2000}, wandb=named) as logger:
         logger.log({"loss": 0.5}, step=0)
         logger.log({"loss": 0.25}, step=7)
         logger.figure("history", go.Figure(go.Scatter(y=[1, 2])))
         logger.summary({"error_mrad": 11.5})
     (folder,) = (tmp_path / "squats" / "0" / "wandb").glob("offline-run-*")
-    expected = (b"/squats", b"budget", b"2000", b"0.25", b"error_mrad", b"11.5")
+    expected = (b"/squats", b"budget", b"2000", b"0.25", b"error_mrad", b"11.5", b"legs", b"first", b"squat-s0")
     record = record_of(tmp_path / "squats" / "0", *expected)
     assert all(part in record for part in expected)
     media = {path.suffix for path in (folder / "files" / "media").rglob("*") if path.is_file()}
@@ -63,8 +65,8 @@ def test_jobs_of_one_sweep_share_the_group(tmp_path):
 
 def test_an_unknown_mode_is_refused(tmp_path):
     """A misspelt mode is named before anything is written."""
-    with pytest.raises(ValueError, match="wandb mode 'of': choose offline, online or disabled"):
-        RunLogger(tmp_path / "run", mode="of")
+    with pytest.raises(ValueError, match="wandb: mode must be one of 'offline', 'online' or 'disabled', got 'of'"):
+        RunLogger(tmp_path / "run", wandb=WandbSettings(mode="of"))  # type: ignore[arg-type]
     assert not (tmp_path / "run").exists()
 
 
@@ -74,4 +76,4 @@ def test_a_key_that_cannot_be_is_told_in_one_sentence(tmp_path, monkeypatch):
     with pytest.raises(
         ValueError, match=r"wandb=online: .*API key.*; log in with `wandb login`, or write wandb=offline"
     ):
-        RunLogger(tmp_path / "run", mode="online")
+        RunLogger(tmp_path / "run", wandb=WandbSettings(mode="online"))

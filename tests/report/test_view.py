@@ -12,7 +12,7 @@ from op3.policy.card import Card
 from op3.report.frames import RenderError, draw_frames
 from op3.report.tracks import Tracks, scene_of
 from op3.report.video import write_film
-from op3.report.view import RATE, Player, Strip, lines_of
+from op3.report.viewer import RATE, Player, Strip, lines_of
 from op3.robot import load_robot, squat
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model

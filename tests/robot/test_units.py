@@ -4,7 +4,7 @@ import mujoco
 import pytest
 
 from op3.robot import SCENES, build_scene
-from op3.robot.units import (
+from op3.robot.register_units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
     CURRENT_UNIT,

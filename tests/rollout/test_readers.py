@@ -104,8 +104,8 @@ def test_a_gripper_without_its_calibration_is_told(tmp_path, monkeypatch):
         opened = np.deg2rad(50 + 48 * np.sin(3 * (foreign_logs.TIME - late)))
         values = np.stack([opened, 0.5 * np.sin(2 * (foreign_logs.TIME - late))], axis=1)
         monkeypatch.setattr(foreign_logs, name, lambda *_, values=values: values)
-    (found,) = (one for one in read_log(lerobot(tmp_path)).findings if one.check == "unit of LeRobot")
-    assert found.problem.startswith("a gripper's numbers of")
+    told = [one.problem for one in read_log(lerobot(tmp_path)).findings if one.check == "unit of LeRobot"]
+    assert told[0].startswith("a gripper's numbers of")
 
 
 def test_a_log_of_some_joints_of_a_robot(tmp_path):
@@ -126,13 +126,84 @@ def test_episodes_of_a_dataset(tmp_path):
         read_log(path)
 
 
-def test_normalised_units_come_with_the_calibration(tmp_path):
-    """A joint's range tells what 100 means: (3072 - 1024) / 2 counts of 4096 a turn are a quarter turn."""
+RANGES = {"left_shoulder": (1024, 3072), "elbow": (760, 3300), "wrist": (0, 4095), "left_gripper": (2030, 3500)}
+"""First and last count of joints by LeRobot's calibration."""
+
+
+def counted(folder: Path, unit: str, size: float, ranges: dict[str, tuple[int, int]] = RANGES) -> Path:
+    """A dataset of joints of whole counts that move by so many radians, told as LeRobot tells them."""
+    path = lerobot(folder)
+    names = [f"{joint}.pos" for joint in ranges]
+    rewrite(path / "meta" / "info.json", renamed(action=names, observation_state=names))
+    table = {}
+    for feature, late in (("action", 0.0), ("observation.state", 0.1)):
+        columns = []
+        for number, (joint, (first, last)) in enumerate(ranges.items()):
+            angle = (1.0 if feature == "action" else 0.97) * size * np.sin((1 + 0.2 * number) * (TIME - late) + number)
+            counts = np.round((first + last) / 2 + angle * 4096 / (2 * np.pi))
+            if "gripper" in joint or joint == "tool":
+                columns.append((counts - first) / (last - first) * 100)
+            elif unit == "deg":
+                columns.append((counts - (first + last) / 2) * 360 / 4095)
+            else:
+                columns.append((counts - first) / (last - first) * 200 - 100)
+        table[feature] = np.float32(columns).T.tolist()
+    rewrite(next(path.rglob("*.parquet")), lambda content: content.update(table))
+    entries = {joint: {"range_min": first, "range_max": last} for joint, (first, last) in ranges.items()}
+    (path / "calibration.json").write_text(json.dumps(entries))
+    return path
+
+
+@pytest.mark.parametrize("size", [0.1, 0.8])
+@pytest.mark.parametrize("unit", ["deg", "normalised"])
+@pytest.mark.parametrize("hand", ["left_gripper", "tool"])
+def test_the_encoder_of_all_joints_says_the_unit_of_a_dataset(tmp_path, unit, size, hand):
+    """Small and large motions, in degrees or in parts of the calibrated ranges; a gripper's are percent of its range,
+    whatever it is called."""
+    ranges = {hand if joint == "left_gripper" else joint: span for joint, span in RANGES.items()}
+    log = read_log(counted(tmp_path, unit, size, ranges))
+    assert log.joints == tuple(ranges)
+    assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(2 * size, rel=0.05)
+    assert log.findings == ()
+
+
+def test_normalised_numbers_without_their_ranges_are_refused(tmp_path):
+    """Steps of another size in every joint are no degrees."""
+    path = counted(tmp_path, "normalised", 0.08)
+    (path / "calibration.json").unlink()
+    with pytest.raises(LogError, match="they are normalised to the joints' ranges, which nothing here says; copy"):
+        read_log(path)
+
+
+@pytest.mark.parametrize(("degrees", "factor"), [(True, 1.0), (False, 2048 / 4096 * 360 / 200)])
+def test_what_a_dataset_says_of_its_unit_counts(tmp_path, degrees, factor):
+    """Before any guess: 100 of a range of 2048 counts are 90 degrees."""
     path = lerobot(tmp_path)
+    rewrite(path / "meta" / "info.json", lambda info: info.update(robot={"use_degrees": degrees}))
     entry = {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 1024, "range_max": 3072}
     (path / "calibration.json").write_text(json.dumps(dict.fromkeys(JOINTS, entry)))
-    scale = (np.pi / 2 / 100) / np.deg2rad(1)
-    assert np.abs(read_log(path).array("joint/position") - scale * position()).max() < 1e-4
+    assert np.abs(read_log(path).array("joint/position") - factor * position()).max() < 1e-4
+
+
+def test_a_calibration_of_lists(tmp_path):
+    """LeRobot's until 2025: degrees, and percent of the gripper's range."""
+    path = counted(tmp_path, "deg", 0.3)
+    ends = np.array(list(RANGES.values())).T.tolist()
+    modes = ["DEGREE"] * 3 + ["LINEAR"]
+    old = {"motor_names": list(RANGES), "calib_mode": modes, "start_pos": ends[0], "end_pos": ends[1]}
+    (path / "calibration.json").write_text(json.dumps(old))
+    log = read_log(path)
+    assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(0.6, rel=0.05)
+    assert log.findings == ()
+
+
+def test_the_gain_that_lerobot_writes_is_told(tmp_path):
+    """Its arms do not run with the gain of the factory."""
+    path = counted(tmp_path, "deg", 0.3)
+    rewrite(path / "meta" / "info.json", lambda info: info.update(robot_type="so101_follower"))
+    log = read_log(path)
+    assert (log.array("command/firmware_gain") == 16).all()
+    assert [one.column for one in log.findings] == ["field firmware_gain"]
 
 
 def rewrite(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:

@@ -107,10 +107,10 @@ def test_a_soft_stand_sways():
     assert 8 < np.fft.rfftfreq(125, 0.008)[spectrum.argmax()] < 20
 
 
-def test_only_hinges():
-    """A robot with a slide on a fixed base is refused by the joint's name."""
-    xml = '<mujoco><worldbody><body><joint name="lift" type="slide"/><geom size="0.1"/></body></worldbody></mujoco>'
-    with pytest.raises(ValueError, match="hinges alone; joint 'lift' is none"):
+def test_no_balls():
+    """A robot with a ball on a fixed base is refused by the joint's name."""
+    xml = '<mujoco><worldbody><body><joint name="lift" type="ball"/><geom size="0.1"/></body></worldbody></mujoco>'
+    with pytest.raises(ValueError, match="joint 'lift' is neither"):
         limb_model(mujoco.MjModel.from_xml_string(xml))
 
 

@@ -23,7 +23,7 @@ from op3.stand_in import (
     seal,
 )
 from op3.stand_in.cases import ALIAS_PAIRS, BASES, Case, answer_bytes, write_answer
-from op3.stand_in.settings import SETTINGS, Setting
+from op3.stand_in.suites import SETTINGS, Setting
 from tests.op3_table import JOINTS
 
 QUIET = World(

@@ -9,7 +9,7 @@ import pytest
 import op3.stand_in
 
 THEIRS = ("numpy", "scipy", "numba", "mujoco", "pinocchio", "yaml")
-ALLOWED = (*THEIRS, "op3.intervals", "op3.robot", "op3.rollout", "op3.settings", "op3.stand_in")
+ALLOWED = (*THEIRS, "op3.sample_intervals", "op3.robot", "op3.rollout", "op3.settings", "op3.stand_in")
 STANDARD = sys.stdlib_module_names
 
 

@@ -5,7 +5,7 @@ import pinocchio
 import pytest
 
 from op3.robot import build_bench, build_scene, pose, squat
-from op3.robot.units import (
+from op3.robot.register_units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
     CURRENT_UNIT,

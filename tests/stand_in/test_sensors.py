@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from op3.robot import quaternion
-from op3.robot.units import ACCELERATION_UNIT, GYRO_UNIT
+from op3.robot.register_units import ACCELERATION_UNIT, GYRO_UNIT
 from op3.stand_in import World
 from op3.stand_in.sensors import Imu, quantise, roll_pitch_yaw
 

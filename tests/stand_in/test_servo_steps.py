@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from op3.robot import load_servo
 from op3.stand_in import Hidden, World
-from op3.stand_in.kernel import TICK, step_servos
-from op3.stand_in.servos import Servos
+from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.integration import TICK, step_servos
 
 QUIET = World(joint_spread=0.0, friction_drift=0.0, torque_noise=0.0, current_offset=0.0, bus_resistance=0.0)
 FRICTIONLESS = QUIET.replace(coulomb_friction=0.0, static_friction_excess=0.0, viscous_friction=0.0)

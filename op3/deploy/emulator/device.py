@@ -16,7 +16,7 @@ from op3.deploy.registers import (
     ControlTable,
     Register,
 )
-from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
+from op3.robot.register_units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
 from op3.stand_in.sensors import Sensors
 
 OPEN_CR_INSTRUCTIONS = (

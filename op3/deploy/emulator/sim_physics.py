@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.physics import PERIOD
 from op3.robot import BoardMotion, RobotEntity, WeightSchedule, board_drive, build_scene, place_tiles, tile_ids
+from op3.robot.register_units import GRAVITY
 from op3.robot.scenes import Scene
-from op3.robot.units import GRAVITY
 from op3.servo import RobotModel, Stage, Trunk
 from op3.servo.effects import Motor
 from op3.sim import BatchSimulation, attach_servos

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from op3.robot.robot import Robot
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import (
     COMMAND,
@@ -218,15 +219,47 @@ def beyond_limits(view: View) -> Iterator[Finding]:
         known = view.log.named_robot
     except LogError:  # told by the check of the robot
         return
+    turned = _turned_round(view, known)
     for joint, name in enumerate(view.joints):
         if name in known.joints:
             low, high = known.limits[known.joints.index(name)]
-            share = float(((view.position[:, joint] < low - 0.1) | (view.position[:, joint] > high + 0.1)).mean())
+            angle = view.position[:, joint]
+            share, other = (
+                float(((sign * angle < low - 0.1) | (sign * angle > high + 0.1)).mean()) for sign in (1, -1)
+            )
             if share > 0.5:
                 problem = (
                     f"{share:.0%} of the positions lie outside {low:.2f} to {high:.2f} rad, where {known.name} ends"
                 )
-                yield view.found(WARNING, (POSITION, joint), problem, "look at its sign and its zero")
+                remedy = "look at its sign and its zero"
+                if other < 0.05:
+                    problem += "; with its sign turned round they would not"
+                    problem += f", and by their partners so are those of {', '.join(turned)}" if turned else ""
+                    remedy = "write `sign: -1` for positions, targets, velocities and currents of these joints"
+                yield view.found(WARNING, (POSITION, joint), problem, remedy)
+
+
+def _turned_round(view: View, robot: Robot) -> list[str]:
+    """Joints whose means are those of their partners' mirror images with the sign turned round, on the fewer side of
+    the robot to be mended: that of a joint outside its limits."""
+    if not robot.partners:
+        return []
+    means, found = dict(zip(view.joints, view.position.mean(0).tolist(), strict=True)), []
+    for name, (partner, sign) in ((n, robot.mirror[n]) for n in view.joints if n in robot.joints):
+        if name == partner or partner not in means or abs(means[name]) < 0.1:
+            continue
+        if abs(means[name] + sign * means[partner]) < 0.3 * abs(means[name] - sign * means[partner]):
+            low, high = robot.limits[robot.joints.index(name)]
+            inside = low - 0.05 <= -means[name] <= high + 0.05
+            outside = [n for n in view.joints if n in robot.joints and _outside(means[n], robot, n)]
+            beside = any(n.split("_")[0] == name.split("_")[0] for n in outside)
+            found += [name] if inside and beside else []
+    return found
+
+
+def _outside(mean: float, robot: Robot, joint: str) -> bool:
+    low, high = robot.limits[robot.joints.index(joint)]
+    return not low - 0.1 <= mean <= high + 0.1
 
 
 @check("constant offset", unless=("position against command",))
@@ -240,6 +273,7 @@ def constant_offset(view: View) -> Iterator[Finding]:
     joints = [j for j in np.flatnonzero(told).tolist() if j not in exchanged] if len(view.time) >= 20 else []
     error, gain, current = view.position - view.command, view.get(("command", "p_gain")), view.get(CURRENT)
     middle = np.array([np.median(error[view.driven[:, joint], joint]) for joint in joints])
+    sags = _sags(view)
     for place, joint in enumerate(joints):
         driven = view.driven[:, joint]
         off, at, angle = (table[driven, joint] for table in (error, view.command, view.position))
@@ -257,12 +291,50 @@ def constant_offset(view: View) -> Iterator[Finding]:
         if gain is not None and current is not None:
             pulled = -gain[driven, joint] * off  # damping has no mean
             yields = abs(np.median(current[driven, joint] - pulled)) < 0.5 * abs(np.median(pulled))
+        if sags is not None and np.isfinite(sags[joint]):
+            yields |= 0.3 < offset / (sags[joint] or np.inf) < 3.0
         dead = np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2  # a dead sensor is another check's
         if dead or yields or not odd:
             continue
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
         cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
+        unweighed = sags is None or not np.isfinite(sags[joint])
+        cause += ", where it is not what the joint carries" if unweighed and not mirrored else ""
         problem = f"the joint stands {offset:+.3f} rad off its command in every pose: {cause}"
         mends = "sign: -1" if mirrored else f"offset: {-offset:.4g}"
         remedy = f"write `{mends}` for its position under `columns:` in the YAML, or correct it in the servo"
+        if unweighed and not mirrored:
+            remedy += "; what it carries changes with the pose, and a zero does not"
         yield view.found(WARNING, (POSITION, joint), problem, remedy)
+
+
+def _sags(view: View) -> np.ndarray | None:
+    """How far gravity takes each joint off its command, by the robot's masses and its servos' stiffness [joint] in rad.
+
+    NaN where a servo or its gain is unknown; None where the robot is, or stands on its feet.
+    """
+    if view.metadata.robot_file is None or view.metadata.mount not in HOLDING:
+        return None
+    try:
+        robot, volts = view.log.robot, view.get(("joint", "voltage"))
+    except LogError:  # told by the check of the robot
+        return None
+    if not set(view.joints) <= set(robot.joints):
+        return None
+    sags = np.full(len(view.joints), np.nan)
+    columns = robot.indices(view.joints)
+    rows = np.linspace(0, len(view.time) - 1, 9).astype(int)
+    pose = np.tile(robot.home, (len(rows), 1))
+    pose[:, columns] = view.position[rows]
+    weight = np.median([robot.gravity(angles)[columns] for angles in pose], axis=0)
+    for joint, make in enumerate(view.log.servos):
+        gain = view.get(("command", "p_gain" if make is not None and make.loop == "current" else "firmware_gain"))
+        if make is None or gain is None:
+            continue
+        stiffness = float(np.median(gain[:, joint])) * make.output_constant
+        if make.loop == "firmware":
+            assert make.position_law is not None
+            supply = make.supply.si if volts is None or not volts[:, joint].any() else float(np.median(volts[:, joint]))
+            stiffness *= make.position_law.error_gain.si * supply / make.motor.terminal_resistance.si
+        sags[joint] = -weight[joint] / stiffness if stiffness else np.nan
+    return sags

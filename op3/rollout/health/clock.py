@@ -138,7 +138,9 @@ def repeated(view: View) -> Iterator[Finding]:
     out = max((steps[row] for row in (first - 1, last) if 0 <= row < len(steps)), default=0.0)
     moving = np.median(steps[steps > 0]) if steps.any() else np.inf
     velocity = view.get(VELOCITY)
-    fast = velocity is not None and np.abs(velocity[first]).max() > 0.15 and length < 0.9 * len(same)
+    speed = 0.0 if velocity is None else float(np.abs(velocity[first]).max())
+    # a servo that rests may keep a speed in its register, and goes on from where it was
+    fast = speed > 0.15 and length < 0.9 * len(same) and out > 0.1 * speed * length * view.interval
     heeded = slice(first, max(last - round(0.1 / view.interval), first) + 1)
     told = np.ptp(view.command[heeded], axis=0).max() > 0.02  # else they may all have stood
     if fast or (told and out > max(5 * moving, 0.03 * length * view.interval)):
@@ -219,13 +221,18 @@ def two_clocks(view: View) -> Iterator[Finding]:
 
 
 def _as_friction(angle: np.ndarray, told: np.ndarray, period: float) -> float:
-    """What friction, damping and gravity in a soft loop leave of a command, as a share: a delay of slow motions is like
-    them."""
-    speed = np.gradient(angle, period)
-    moves = np.tanh(speed / max(0.1 * float(np.abs(speed).max()), 1e-9))
-    causes = np.stack([angle, np.ones(len(angle)), speed, moves, np.sin(angle), np.cos(angle)], axis=1)
-    left = told - causes @ np.linalg.lstsq(causes, told)[0]
-    return float(left.var() / max(told.var(), 1e-12))
+    """What friction in a soft loop, with damping and gravity, leaves of a position, as a share: a delay of slow motions
+    is like it. Friction holds a joint until its command is so far away, and then keeps it as far behind."""
+    best = np.inf
+    for width in np.quantile(np.abs(told - angle), [0.25, 0.5, 0.75, 0.9, 0.97]):
+        held, at = np.empty(len(told)), float(angle[0])
+        for row, goal in enumerate(told.tolist()):
+            held[row] = at = min(max(at, goal - width), goal + width)
+        speed = np.gradient(held, period)
+        causes = np.stack([held, np.ones(len(held)), speed, np.sin(held), np.cos(held)], axis=1)
+        left = angle - causes @ np.linalg.lstsq(causes, angle)[0]
+        best = min(best, float(left.var() / max(angle.var(), 1e-12)))
+    return best
 
 
 def _follows(angle: np.ndarray, told: np.ndarray, lags: np.ndarray) -> np.ndarray:

@@ -49,6 +49,8 @@ def drive(view: View) -> Iterator[Finding]:
         told = (gain is not None) & (sure > 0.8) & ~away & ~signless
         clear = (sure > 0.94) & (not view.metadata.fallen)  # arms that are flung about are limited otherwise
         off = told & np.where(clear, (least > 1.6) | (most < 0.6), (least > 2.5) | (most < 0.4))
+        if off.sum() == 1 < told.sum() / 3:  # a unit is a channel's: one joint among many has to be very sure
+            off &= sure > 0.98
         # a sensor's zero: what the law leaves on average, where it explains nearly all
         shifted = (
             told & clear & ~off & (np.abs(zero) > np.maximum(_ZERO, 0.02 * np.abs(values).max(0))) & (key == CURRENT)
@@ -62,6 +64,8 @@ def drive(view: View) -> Iterator[Finding]:
         units = {"it": likely_unit(usual, CHANNELS[key].quantity.unit)}
         units["the gain"] = likely_unit(1 / usual if usual else 0.0, "A/rad") if key == CURRENT else None
         cause = next((f", as if {what} were in {unit}" for what, unit in units.items() if unit), "")
+        if not cause and key == CURRENT and usual > 0:
+            cause = f", as if p_gain were {1 / usual:.3g} times what it is"
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),
             (f"{key[1]} drives away from the target", away, "turn its sign round"),

@@ -130,7 +130,8 @@ def spikes(view: View) -> Iterator[Finding]:
             if key == VELOCITY:  # a knock, which the position knows of
                 size *= np.abs(np.diff(view.position[:-1, index]) / np.diff(view.time[:-1])) < 0.5 * size
             row = int(size.argmax()) + 1
-            if size[row - 1] > max(12 * usual, 0 if of_angles else 3 * level, least):
+            often = key == COMMAND and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
+            if size[row - 1] > max(12 * usual, 0 if of_angles else 3 * level, least) and not often:
                 what = "a target" if key == COMMAND else "a single reading"
                 problem = f"{what} of {column[row]:.4g} stands between {column[row - 1]:.4g} and "
                 problem += f"{column[row + rows]:.4g}"

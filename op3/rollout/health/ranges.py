@@ -21,6 +21,9 @@ jumped; what was not read for some rows may come in one."""
 _SPIKE = 0.12
 """No change from row to row differs from those beside it by more, unless they differ among themselves [rad]."""
 
+_RARELY, _SMOOTH = 0.1, 0.5
+"""A joint that turns on and on is beyond the bound in fewer of its rows, and moves by less from row to row [rad]."""
+
 _SHORT = 0.025
 """In a longer time from row to row [s] a joint may come to a new place and stop there."""
 
@@ -76,11 +79,27 @@ def bounds(view: View) -> Iterator[Finding]:
         few = key[0] == "joint" and key[1] in _ASIDE and (2 * len(names) < wrong.shape[1] or single)
         for index in names if few else names[:1]:
             row = int(wrong[:, index].argmax())
-            likely = "stands there in single rows" if single else _likely(values[:, index], quantity.mistake)
-            problem = f"{values[row, index]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
-            remedy = "leave these rows out" if single else quantity.remedy
-            severity = WARNING if few else ERROR
+            column, remedy = values[:, index], quantity.remedy
+            if key in (POSITION, COMMAND) and view.metadata.robot_file is None:
+                remedy += ", or give robot=<file> where a robot's file says their unit"
+            likely = _likely(column, quantity.mistake)
+            problem = f"{column[row]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
+            turns = key in (POSITION, COMMAND) and wrong[:, index].mean() < _RARELY and np.abs(column).max() < 4 * np.pi
+            if turns and np.abs(np.diff(column)).max() < _SMOOTH:
+                likely, remedy = "goes there without a jump", "look whether its unit is the radian"
+            elif single:
+                likely, remedy = "stands there in single rows", "leave these rows out"
+            elif key in (POSITION, COMMAND) and _opens(values, int(index), quantity.bound):
+                likely = "looks like percent of a gripper's opening, as no other joint is"
+                remedy = "write its range in rad over 100 as `unit:` of the column under `columns:` in the YAML"
+            severity = WARNING if few or likely.startswith("goes") else ERROR
             yield view.found(severity, (key, index), f"{problem} and {likely}", remedy, row, aside=few)
+
+
+def _opens(values: np.ndarray, joint: int, bound: float) -> bool:
+    """Whether one of several joints alone leaves the bound, between 0 and 100."""
+    far, column = np.abs(values).max(0) > bound, values[:, joint]
+    return bool(far.sum() == 1 < len(far) - 1 and column.min() >= -1 and bound < column.max() <= 101)
 
 
 def _goes_round(view: View, bound: float) -> np.ndarray:
@@ -101,7 +120,7 @@ def _likely(values: np.ndarray, mistake: str) -> str:
     return "looks like counts of an encoder" if counts else mistake
 
 
-@check("impossible speed")
+@check("impossible speed", unless=("bounds",))
 def impossible_speed(view: View) -> Iterator[Finding]:
     """A position moves further from row to row than any servo does, or leaps where it moves evenly before and after."""
     steps, taken = np.diff(view.position, axis=0), np.diff(view.time)

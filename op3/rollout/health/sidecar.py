@@ -19,6 +19,9 @@ _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12),
 _CHARGE = (0.7, 1.3)
 """Voltage over that of the battery: a cell of 3.7 V gives 3.0 to 4.2 V, and cables and load take some of it."""
 
+_FULL = 1.35
+"""By so much supplies exceed a servo's limits at most: a battery is full, or a bench runs a small servo hard (1.22)."""
+
 _HOTTEST = 95.0
 """No servo works at such a temperature [C]: the files of makes let none get hotter."""
 
@@ -100,7 +103,8 @@ def weight(view: View) -> Iterator[Finding]:
         return
     assert make.position_law is not None
     most, angle = make.position_law.max_duty.si, view.position[:, 0]
-    supply = about.battery or make.supply.si
+    volts = view.get(("joint", "voltage"))
+    supply = float(np.median(volts)) if volts is not None and volts.any() else about.battery or make.supply.si
     stall = make.output_constant * supply / make.motor.terminal_resistance.si
     torque = stall * np.clip(gain[:, 0] * (view.command[:, 0] - angle), -most, most)
     speed = np.gradient(angle, view.time)
@@ -152,6 +156,17 @@ def gains(view: View) -> Iterator[Finding]:
 def supply(view: View) -> Iterator[Finding]:
     """Voltage is far from the battery's, or a temperature is none of a servo that works."""
     servos, told, shares = view.log.servos, view.metadata.battery, dict[str, float]()
+    volts = view.get(("joint", "voltage"))
+    makes = {make.name: make for make in (view.make, *servos) if make is not None}
+    for make in makes.values() if len(makes) == 1 else ():
+        median = 0.0 if volts is None else float(np.median(volts))
+        read = median if 1 < median < 60 else told if view.metadata.mount == "pendulum" else None
+        low, high = make.limits.low_voltage.si, make.limits.high_voltage.si
+        if read and not low / _FULL < read < high * _FULL:
+            problem = f"{read:.3g} V supply a {make.name}, whose file holds from {low:g} to {high:g} V: it is another "
+            problem += f"variant of the {make.name}, with another motor and gear"
+            remedy = f"name its own make or file under `servo:`; the constants of {make.name} are wrong for it"
+            yield view.found(WARNING, "field servo", problem, remedy)
     if any(servos) and view.metadata.mount != "pendulum":  # a small servo has a converter of its own
         known = view.log.named_robot
         shares = dict(zip(known.joints, known.supply_shares.tolist(), strict=True))

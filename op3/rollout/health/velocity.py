@@ -47,6 +47,9 @@ DRIFT = 0.08
 PARTED = 0.06
 """Within a window no velocity and position part by so much [rad]; 0.051 at most."""
 
+PARTED_SIGNS = 0.12
+"""Between rising and falling positions no velocity's factor differs by so much."""
+
 NOISE = 2.5
 """No velocity scatters from row to row by so many times what its position does, or by so many steps; 1.3 at most."""
 
@@ -66,6 +69,7 @@ class Trace:
         errors: Standard errors of ratio, delay and bias.
         share: Of the sums that is explained.
         counted: Share of the windows that count.
+        halves: The ratio where the position falls, and where it rises; NaN where it does so in few windows.
         scatter: Velocity against its neighbours in time, median [rad/s], and the least that its position explains.
         parted: What is left in each window [rad], and the window's first and last row.
     """
@@ -77,6 +81,7 @@ class Trace:
     errors: np.ndarray
     share: float
     counted: float
+    halves: tuple[float, float]
     scatter: tuple[float, float]
     parted: tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -124,9 +129,19 @@ def _trace(view: View, joint: int, summed: np.ndarray) -> Trace | None:
         errors=errors[[0, 1, 3]],
         share=1 - float(left[kept].var()) / max(float(told[kept].var()), 1e-24),
         counted=float(kept.mean()),
+        halves=_halves(causes[kept], told[kept]),
         scatter=(float(np.median(scatter)), max(float(np.mean(own)), 2 * grid, 0.03)),
         parted=(left, first, last),
     )
+
+
+def _halves(causes: np.ndarray, told: np.ndarray) -> tuple[float, float]:
+    """Velocity's sum over the position's change where it falls, and where it rises, by one fit of both."""
+    turned = causes[:, 0]
+    apart = np.column_stack([np.minimum(turned, 0), np.maximum(turned, 0), causes[:, 1:]])
+    often = min((turned < -0.2 * np.abs(turned).max()).sum(), (turned > 0.2 * np.abs(turned).max()).sum()) > 20
+    fit = np.linalg.lstsq(apart, told)[0]
+    return (float(fit[0]), float(fit[1])) if often else (np.nan, np.nan)
 
 
 @check("velocity against position")
@@ -191,6 +206,11 @@ def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Find
     early, late = (EARLY - uncertain[1] - view.interval, LATE + uncertain[1] + view.interval)
     if clear and not early < trace.delay < late:
         problem = _comes(trace.delay)
+        yield view.found(WARNING, where, problem, unused, aside=True)
+    elif clear and trace.share > 0.99 and abs(trace.halves[0] - trace.halves[1]) > PARTED_SIGNS:
+        wrong = int(abs(trace.halves[1] - 1) > abs(trace.halves[0] - 1))
+        problem = f"{('negative', 'positive')[wrong]} velocities are {trace.halves[wrong]:.2g} times the change of "
+        problem += f"position per second, and the others {trace.halves[1 - wrong]:.2g} times"
         yield view.found(WARNING, where, problem, unused, aside=True)
     elif clear and abs(trace.ratio - 1) > max(SCALED, rounding / max(float(speed.std()), 1e-9)) + uncertain[0]:
         problem = f"the velocity is {trace.ratio:.3g} times the change of position per second"

@@ -16,6 +16,7 @@ _OURS = {
     "lerobot": "lerobot:LeRobot",
     "ros": "ros:Ros",
     "npz": "npz:Npz",
+    "hdf5": "hdf5:Hdf5",
 }
 
 

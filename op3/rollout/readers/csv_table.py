@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from op3.rollout.readers.text import unpacked
 _NAMES = ("joint", "joint_name", "servo", "motor", "name")
 _NUMBERS = ("id", "joint_id", "servo_id", "motor_id")
 _KINDS = ("channel", "signal", "variable", "quantity", "field", "key")
+_LISTED = re.compile(r"(.*\.)(?:joint_)?names?(\d+)")
+"""Columns in which `rostopic echo -p` writes the names of joints, whose numbers have the same index."""
 
 
 class CsvTable:
@@ -32,14 +35,41 @@ class CsvTable:
         """One recording."""
         with located(source=path):
             header, table, codes = read_table(path, _texts)
+            if any(_LISTED.fullmatch(name) for name in codes):
+                return [_echoed(header, table, codes)]
             return [_long(header, table, codes) if codes else _wide(header, table)]
 
 
 def _texts(header: Sequence[str]) -> list[str]:
     """Columns of a long table that name a joint, and what is measured."""
+    if listed := [name for name in header if _LISTED.fullmatch(name)]:
+        return listed + [name for name in header if name.endswith(".frame_id")]
     named, kinds, numbered = ([n for n in header if n.lower() in words][:1] for words in (_NAMES, _KINDS, _NUMBERS))
     named = named or (numbered if kinds else [])  # alone it may count rows
     return named + kinds if named and len(header) > 2 else []
+
+
+def _echoed(header: list[str], table: np.ndarray, codes: dict[str, Codes]) -> Recording:
+    """A message per row, as `rostopic echo -p` writes them: names of joints in cells, times in ns."""
+    joints = {}
+    for name, known in codes.items():
+        if (listed := _LISTED.fullmatch(name)) is None:
+            continue
+        if len(known) > 1:
+            problem, remedy = f"the name changes, {', '.join([*known][:2])}", "record the messages as a bag"
+            raise LogError(problem, remedy, column=name, row=int((table[:, header.index(name)] != 0).argmax()) + 1)
+        joints[listed[2]] = next(iter(known))
+    columns: dict[str, np.ndarray] = {}
+    for name, values in zip(header, table.T, strict=True):
+        numbered = re.fullmatch(r"(?:field\.)?(.*?)(\d+)", name)
+        if name in codes or ".header." in name:
+            continue
+        joint = joints.get(numbered[2]) if numbered else None
+        columns[f"{joint}.{numbered[1]}" if joint and numbered else name] = values
+    meanings = guess_all(columns)
+    if header[0] in columns:
+        meanings[header[0]] = Column("time", "ns" if table[0, 0] > 1e15 else None)
+    return Recording([Stream(table[:, 0], columns)], columns=meanings)
 
 
 def _wide(header: list[str], table: np.ndarray) -> Recording:

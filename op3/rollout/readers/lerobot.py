@@ -1,14 +1,17 @@
 """LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, an episode per recording.
 
-A motor's bare name means its position. Positions are in the unit that names say; else in degrees, in radians where
-hardly a joint tells as much as a turn, or normalised to a joint's range, which the calibration file tells: LeRobot's
-`calibration/.../<robot>.json`, copied into the folder as `calibration.json`.
+A motor's bare name means its position. All body joints of a dataset have one unit: degrees, radians, or -100 to 100
+over a joint's range; a gripper has 0 to 100 over its range. Ranges stand in LeRobot's `calibration/.../<robot>.json`,
+copied into the folder as `calibration.json`. The unit is what names, `info.json` or an old calibration say, else that
+on whose grid of encoder counts the positions of all joints lie.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +19,28 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.guess import guess, guess_all
-from op3.rollout.health.finding import WARNING, Finding
+from op3.rollout.health.finding import ERROR, WARNING, Finding
 from op3.rollout.health.match import step
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
 from op3.rollout.units import canonical
 
-_STEP = 2 * math.pi / 4096
+_TURN = 4096
+"""Counts of a turn."""
+
 _NORMAL = 100.5
 """Normalised numbers go to 100, and hardly beyond."""
+
+_ON, _OFF = 0.1, 0.15
+"""Numbers are on a grid where they are this near, and off it where they are further, in its steps; 0.29 by chance."""
+
+_HANDS = ("gripper", "grip", "jaw", "jaws", "claw", "finger", "fingers", "thumb", "hand", "clamp")
+"""Ends of words in names of joints that open and close."""
+
+_WRITES_GAIN = re.compile("so-?10[01]|lekiwi")
+"""Robots to whose servos LeRobot writes a position gain of its own, and which."""
+
+_GAIN = 16.0
 
 _FEATURES = {"observation.state": "", "action": "action "}
 
@@ -60,9 +76,15 @@ class LeRobot:
             wide = numbers(table[feature], path / "data", feature, len(names))
             columns |= {prefix + _told(name): wide[:, i] for i, name in enumerate(names)}
         meanings = guess_all(columns)
-        doubts = _units(columns, meanings, path)
+        doubts = _units(columns, meanings, info, path)
         fps = {"rate": float(info["fps"])} if isinstance(info.get("fps"), int | float) and info["fps"] > 0 else {}
-        about = fps | dict(robot="real", mount="stand", extra={"lerobot": str(info.get("robot_type"))})
+        kind = str(info.get("robot_type"))
+        about = fps | dict(robot="real", mount="stand", extra={"lerobot": kind})
+        if _WRITES_GAIN.search(kind.lower()):
+            about["firmware_gain"] = _GAIN
+            problem = f"LeRobot writes a gain of {_GAIN:g} to the servos of {kind}, which is assumed here"
+            remedy = "write `firmware_gain:` into its YAML if another was set"
+            doubts.append(Finding(WARNING, problem, remedy, "field firmware_gain", check="gain of LeRobot"))
         recordings = []
         for number in np.unique(episode):
             rows = np.flatnonzero(episode == number)
@@ -114,51 +136,188 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
     return table
 
 
-def _units(columns: dict[str, np.ndarray], meanings: dict[str, Column], path: Path) -> list[Finding]:
-    """Give positions and targets their unit: normalised where the calibration says so, else degrees or radians.
+@dataclass(frozen=True)
+class _Range:
+    """What a calibration says of a joint.
 
-    Without a calibration, degrees and normalised numbers cannot be told apart, which is handed back.
+    Attributes:
+        counts: Of its range; 0 where there is none.
+        unit: `deg` or `percent`, where an old file says it.
     """
+
+    counts: float = 0.0
+    unit: str = ""
+
+
+def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
+    """The ranges of these joints by LeRobot's calibration file, of either form; empty where there is none."""
     file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
-    calibration = read_json(file) if file else {}
-    angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
-    most = np.array([np.abs(columns[name]).max() for name in angles] or [0.0])
-    unit, why = "deg", "degrees, as no calibration.json is there; numbers of -100 to 100 may be normalised to a range"
+    if file is None:
+        return {}
+    content, found = read_json(file), {}
+    names = content.get("motor_names")
+    for joint in joints:
+        try:
+            if isinstance(names, list):  # a list per field, until the summer of 2025
+                at = names.index(joint)
+                unit = "deg" if content["calib_mode"][at] == "DEGREE" else "percent"
+                found[joint] = _Range(abs(float(content["end_pos"][at]) - float(content["start_pos"][at])), unit)
+            else:
+                entry = content[joint]
+                found[joint] = _Range(abs(float(entry["range_max"]) - float(entry["range_min"])))
+        except (ValueError, KeyError, TypeError, IndexError):
+            known = [str(name) for name in (names if isinstance(names, list) else content)]
+            if joint not in known:
+                problem = f"the calibration lacks the joint, and has {', '.join(known)[:120]}"
+                remedy = "copy the calibration file of this robot; entries of two arms go into one file, by these names"
+            else:
+                problem, remedy = "the calibration of the joint has no range", "copy LeRobot's calibration file"
+            raise LogError(problem, remedy, source=file, column=joint) from None
+    return found
+
+
+def _said(content: Any) -> str | None:
+    """The unit of body joints that a description says somewhere."""
+    if isinstance(content, dict):
+        if isinstance(content.get("use_degrees"), bool):
+            return "deg" if content["use_degrees"] else "normalised"
+        if (unit := canonical(str(content.get("unit") or content.get("units")).lower())) in ("deg", "rad"):
+            return unit
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    return next((unit for part in parts if (unit := _said(part))), None)
+
+
+def _apart(values: np.ndarray, step: float) -> float:
+    """How far numbers are from a grid through the first of them, in its steps; NaN where they span few of these."""
+    if not 0 < step < np.ptp(values) / 5:
+        return math.nan
+    steps = (values - values[0]) / step
+    return float(np.sqrt(((steps - np.round(steps)) ** 2).mean()))
+
+
+def _grids(unit: str, counts: float) -> tuple[float, ...]:
+    """Steps of an encoder's counts in a unit: LeRobot takes one count less for a turn."""
+    turn = {"deg": 360.0, "rad": 2 * math.pi}.get(unit)
+    if turn is not None:
+        return turn / (_TURN - 1), turn / _TURN
+    return ({"normalised": 200.0, "percent": 100.0}[unit] / counts,) if counts else ()
+
+
+def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range]) -> float:
+    """How far the joints' numbers are from the grid of a unit, in its steps; NaN where that shows in none."""
+    every = [
+        [_apart(values, grid) for grid in _grids(unit, ranges.get(joint, _Range()).counts)]
+        for joint, values in joints.items()
+    ]
+    tried = [np.array(one)[~np.isnan(one)] for one in zip(*filter(None, every), strict=True)]
+    return min((float(np.sqrt((one**2).mean())) for one in tried if len(one)), default=math.nan)
+
+
+def _body_unit(
+    joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range], said: str | None
+) -> tuple[str, str, Finding | None]:
+    """The unit of the body's joints, what says so, and the doubt that is left of it."""
+    if said is not None:
+        return said, "info.json says so", None
+    if {known.unit for joint, known in ranges.items() if joint in joints} - {""}:
+        return "deg", "the calibration says so", None
+    most = np.array([np.abs(values).max() for values in joints.values()] or [0.0])
+    units = ["deg"]
     if np.quantile(most, 0.75) < 2 * math.pi and most.max() < 8 * math.pi:
-        unit, why = "rad", "hardly a number is as large as a turn in radians"
+        units.append("rad")
+    if most.max() <= _NORMAL and any(known.counts for known in ranges.values()):
+        units.append("normalised")
+    apart = {unit: _misfit(unit, joints, ranges) for unit in units}
+    on = [unit for unit in units if apart[unit] < _ON]
+    if on:
+        unit = min(on, key=apart.__getitem__)
+        return unit, f"all joints lie on its grid of encoder counts, {apart[unit]:.2g} steps off", None
+    beyond = [joint for joint, known in ranges.items() if joint in joints and known.counts]
+    beyond = [j for j in beyond if np.abs(joints[j]).max() > 1.05 * 180 * ranges[j].counts / _TURN]
+    if beyond and "normalised" in units:
+        return "normalised", f"in degrees {beyond[0]} would leave its range", None
+    if most.max() > _NORMAL:
+        return "deg", "numbers go beyond 100", None
+    steps = step(np.stack(list(joints.values()), axis=1)) if joints else np.zeros(0)
+    steps = steps[(steps > 0.03) & (steps < 1)]
+    if len(steps) > 1 and not ranges and apart["deg"] > _OFF and np.ptp(steps) > 0.03 * steps.max():
+        problem = (
+            f"the numbers come in steps of {', '.join(f'{one:.3g}' for one in steps[:4])}, each joint in its own: "
+        )
+        problem += "they are normalised to the joints' ranges, which nothing here says"
+        remedy = "copy LeRobot's calibration file there as calibration.json"
+        return "deg", "nothing else is known", Finding(ERROR, problem, remedy, check="unit of LeRobot")
+    if "rad" in units:
+        return "rad", "hardly a number is as large as a turn in radians", None
+    problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
+    remedy = "say `unit: deg` under `columns:` in a YAML, or their size"
+    if not ranges:
+        remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"
+    why = "degrees, as nothing says what they are; numbers of -100 to 100 may be normalised to a range"
+    return "deg", why, Finding(WARNING, problem, remedy, check="unit of LeRobot")
+
+
+def _units(
+    columns: dict[str, np.ndarray], meanings: dict[str, Column], info: dict[str, Any], path: Path
+) -> list[Finding]:
+    """Give positions and targets their unit; what remains doubtful is handed back."""
+    angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
+    named = {name: next((u for u in map(canonical, _words(name)) if u in ("deg", "rad")), None) for name in angles}
+    joint_of = {name: str(column.name).rpartition(".")[0] for name, column in angles.items()}
+    free = {j for name, j in joint_of.items() if named[name] is None}
+    ranges = _calibration(sorted(free), path)
+    read = {joint_of[name]: columns[name] for name in angles if str(angles[name].name).endswith(".position")}
+    read = {joint: values for joint, values in read.items() if joint in free}
+    hands = {joint for joint, values in read.items() if _opens(joint, values, ranges)}
+    body = {joint: values for joint, values in read.items() if joint not in hands}
+    said = _said(info) or next((unit for unit in named.values() if unit), None)
+    unit, why, doubt = _body_unit(body, ranges, said)
+    for joint in sorted(hands):  # one that is told as the body is
+        own = {joint: read[joint]}
+        fits = unit != "normalised" and _misfit(unit, own, ranges) < _ON and not _misfit("percent", own, ranges) < _ON
+        if fits or (unit == "rad" and np.abs(read[joint]).max() < 2 * math.pi):
+            hands.remove(joint)
     for name, column in meanings.items():
         if unit == "deg" and column.unit is None and str(column.name).endswith(".velocity"):
-            meanings[name] = Column(column.name, "deg/s", why=why)
+            meanings[name] = Column(column.name, "deg/s", why="positions are in degrees")
+    column = next((name for name, joint in joint_of.items() if joint in body), None)
+    doubts = [replace(doubt, column=column)] if doubt else []
     for name, column in angles.items():
-        joint, words = str(column.name).rpartition(".")[0], set(re.split("[^a-z]+", name.lower()))
-        named = next((unit for unit in map(canonical, words) if unit in ("deg", "rad")), None)
-        meanings[name] = Column(column.name, named or unit, why=f"the name says {named}" if named else why)
-        entry = calibration.get(joint)
-        if calibration and entry is None and not named:
-            problem, remedy = "the calibration lacks the joint", "copy the calibration file of this robot"
-            raise LogError(problem, remedy, source=file, column=joint)
-        if entry is not None:
-            try:
-                span = abs(float(entry["range_max"]) - float(entry["range_min"])) * _STEP
-            except (KeyError, TypeError, ValueError):
-                problem, remedy = "the calibration of the joint has no range", "copy LeRobot's calibration file"
-                raise LogError(problem, remedy, source=file, column=joint) from None
-            # a gripper runs from 0 to 100 over its range, every other joint from -100 to 100
-            size = span / 100 if joint == "gripper" else span / 200
-            if 0 < size < math.inf and float(np.abs(columns[name]).max()) <= _NORMAL:
-                meanings[name] = Column(column.name, size, why="normalised to the calibrated range")
-    guessed = [name for name in angles if meanings[name].why == why]
-    if not guessed or unit == "rad" or calibration or most.max() > _NORMAL:
-        return []
-    if hands := [name for name in guessed if str(meanings[name].name).startswith("gripper.")]:
-        low, high = min(columns[n].min() for n in hands), max(columns[n].max() for n in hands)
-        if low >= 0 and high - low > 5:
-            problem = f"a gripper's numbers of {low:.4g} to {high:.4g} are read as degrees; LeRobot's run from 0 to 100"
-            remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
-            return [Finding(WARNING, problem, remedy, hands[0], check="unit of LeRobot")]
-    grids = np.deg2rad(step(np.stack([columns[name] for name in guessed], axis=1)))
-    if np.isclose(grids[grids > 0], _STEP, rtol=0.01).any():  # a range's hundredths have steps of their own
-        return []
-    problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
-    remedy = "copy LeRobot's calibration file there as calibration.json, or say `unit: deg` under `columns:` in a YAML"
-    return [Finding(WARNING, problem, remedy, guessed[0], check="unit of LeRobot")]
+        joint = joint_of[name]
+        span = 2 * math.pi / _TURN * ranges.get(joint, _Range()).counts
+        if named[name] is not None:
+            meanings[name] = Column(column.name, named[name], why=f"the name says {named[name]}")
+        elif joint in hands and span:
+            meanings[name] = Column(column.name, span / 100, why="0 to 100 over the range of a gripper")
+        elif joint in hands:
+            low, high = float(columns[name].min()), float(columns[name].max())
+            meanings[name] = Column(column.name, "deg", why="nothing says the range of the gripper")
+            if low >= 0 and high - low > 5 and not any("gripper's" in one.problem for one in doubts):
+                problem = f"a gripper's numbers of {low:.4g} to {high:.4g} are read as degrees; LeRobot's run from 0 to"
+                problem += " 100 over its range"
+                remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
+                doubts.insert(0, Finding(WARNING, problem, remedy, name, check="unit of LeRobot"))
+        elif unit == "normalised" and not span:
+            problem = "the numbers are normalised to the joint's range, which nothing here says"
+            raise LogError(
+                problem, "copy LeRobot's calibration file there as calibration.json", source=path, column=name
+            )
+        elif unit == "normalised":
+            meanings[name] = Column(column.name, span / 200, why=f"-100 to 100 over the calibrated range: {why}")
+        else:
+            meanings[name] = Column(column.name, unit, why=f"{unit}: {why}")
+    return doubts
+
+
+def _words(name: str) -> set[str]:
+    return set(re.split("[^a-z]+", name.lower()))
+
+
+def _opens(joint: str, values: np.ndarray, ranges: Mapping[str, _Range]) -> bool:
+    """Whether a joint's numbers may run from 0 to 100 over its range, and its name or their grid says that they do."""
+    if values.min() < 100 - _NORMAL or values.max() > _NORMAL:
+        return False
+    if ranges.get(joint, _Range()).unit == "percent" or any(word.endswith(_HANDS) for word in _words(joint)):
+        return True
+    fits = {unit: _misfit(unit, {joint: values}, ranges) for unit in ("percent", "normalised", "deg", "rad")}
+    return fits.pop("percent") < _ON and all(not apart < _OFF for apart in fits.values())

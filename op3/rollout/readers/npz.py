@@ -56,7 +56,7 @@ class Npz:
             if "signal_mapping" in content:
                 columns, known = _signals(content, file)
             else:
-                columns = _arrays(content, len(time), joints, file)
+                columns = columns_of(content, len(time), joints, file)
                 known = guess_all(columns, joints)
             streams.append(Stream(time.reshape(-1).astype(float), columns))
             meanings |= known
@@ -103,7 +103,7 @@ def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
     return columns, meanings
 
 
-def _arrays(content: Content, rows: int, joints: list[str], path: Path) -> Content:
+def columns_of(content: Content, rows: int, joints: list[str], path: Path) -> Content:
     """Arrays by name; the last axis of two-dimensional ones is the joints."""
     columns: Content = {}
     for name, array in content.items():

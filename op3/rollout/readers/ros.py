@@ -1,28 +1,66 @@
 """ROS bags without ROS: ROS 2 (sqlite3 and MCAP, a folder or a single file) and ROS 1, by the rosbags package.
 
 States come from `JointState`, commands from every message with joint names and positions (`JointTrajectory`,
-controller states, `JointState` on a command topic, arrays in the order of the states), the trunk from `Imu`.
+controller states, `JointState` on a command topic or of a leader, arrays), the trunk from `Imu`. A trajectory is
+followed as controllers do: from where the joint was told to be, to its points, until the next one comes.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from op3.rollout.errors import LogError
+from op3.rollout.health.finding import WARNING, Finding
 from op3.rollout.readers.reader import Recording, Stream, needed
 
 _COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
+_LEADERS = ("leader", "master", "teleop")
+"""Words in topics of states that others are told to follow."""
+
 _KINDS = {"position": "position", "velocity": "velocity", "effort": "load"}
 _TRAJECTORY_STEP = 0.01
+"""Time between samples of a trajectory [s]."""
 
-Found = dict[tuple[str, str, tuple[str, ...]], list[list[float]]]
-"""By topic, kind and columns: the header's time, the bag's time, and numbers."""
+_SHARED = 1.0
+"""Clocks of headers that are set alike differ by no more [s]."""
+
+_PUBLISHED = 5
+"""A second publisher shows so often at least."""
+
+_LEAPS = 0.02
+"""What a joint moves from message to message is at most so much, or ten times as much as usual [rad]."""
+
+
+@dataclass
+class Topic:
+    """What a topic says of some columns.
+
+    Attributes:
+        name: Of the topic.
+        kind: Of its messages.
+        columns: What its numbers are; of an array `#0`, `#1` and so on.
+        rows: The header's time (NaN: none), the time in the bag, and numbers.
+        paths: Of trajectories, by row: times from its start [point] and positions [point, joint].
+    """
+
+    name: str
+    kind: str
+    columns: tuple[str, ...]
+    rows: list[list[float]] = field(default_factory=list)
+    paths: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def ends(self, kind: str) -> bool:
+        """Whether its columns are of a kind, such as `position`."""
+        return self.columns[0].endswith(f".{kind}")
 
 
 class Ros:
@@ -37,25 +75,29 @@ class Ros:
 
     def read(self, path: Path) -> list[Recording]:
         """One recording; joints are those with a state and a command."""
-        found: Found = {}
+        found: dict[tuple[str, str, tuple[str, ...]], Topic] = {}
         orders: dict[frozenset[str], tuple[str, ...]] = {}  # in which names came first
-        for topic, kind, received, message in _messages(path):
+        for name, kind, received, message in _messages(path):
             names = getattr(message, "name", getattr(message, "joint_names", ()))
             if len(set(names)) < len(names):
-                twice = next(name for name in names if list(names).count(name) > 1)
-                problem = f"{topic} names {twice} twice in one message"
+                twice = next(one for one in names if list(names).count(one) > 1)
+                problem = f"{name} names {twice} twice in one message"
                 raise LogError(problem, "give every joint a name of its own where it is published", source=path)
             stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
-            for after, told in _samples(topic, kind, message, [columns for *_, columns in found]):
+            for told, points in _samples(name, kind, message):
                 columns = orders.setdefault(frozenset(told), tuple(told))
-                clocks = [stamp + after if stamp > 0 else math.nan, received + after]
-                row = [*clocks, *(float(told[name]) for name in columns)]
-                found.setdefault((topic, kind, columns), []).append(row)
-        streams = _streams({columns: np.array(rows) for columns, rows in _one_source(found, path).items()})
+                topic = found.setdefault((name, kind, columns), Topic(name, kind, columns))
+                topic.rows.append([stamp if stamp > 0 else math.nan, received, *(float(told[c]) for c in columns)])
+                if points is not None:
+                    order = [list(told).index(column) for column in columns]
+                    topic.paths.append((points[0], points[1][:, order]))
+        doubts: list[Finding] = []
+        _one_publisher(topics := list(found.values()), path, doubts)
+        streams = _streams(_one_source([topic for topic in topics if topic.rows], path), path, doubts)
         if not streams:
             raise LogError("the bag holds no joint states", "record sensor_msgs/JointState", source=path)
         streams.sort(key=lambda s: (not any(n.endswith(".position") for n in s.columns), -len(s.time)))
-        return [Recording(streams, dict(robot="real", mount="stand"))]
+        return [Recording(streams, dict(robot="real", mount="stand"), doubts=doubts)]
 
 
 def is_bag(folder: Path) -> bool:
@@ -66,31 +108,75 @@ def is_bag(folder: Path) -> bool:
     return about.is_file() and b"rosbag2_bagfile_information" in about.read_bytes()[:200]
 
 
-def _one_source(found: Found, path: Path) -> dict[tuple[str, ...], list[list[float]]]:
-    """Rows by columns, of one topic each: relays are left out, two that differ and states without commands
-    refused."""
-    chosen: dict[tuple[str, ...], tuple[str, str, list[list[float]]]] = {}
-    for (topic, kind, columns), rows in sorted(found.items(), key=lambda item: -len(item[1])):
-        for others, (other, its, known) in chosen.items():
-            if kind == its and topic != other and (shared := [name for name in columns if name in others]):
-                said, known_as = (_content(*one, shared) for one in ((columns, rows), (others, known)))
-                if 2 * len(said & known_as) <= len(rows):
-                    problem = f"{topic} and {other} tell it, and differ"
+def _one_publisher(topics: list[Topic], path: Path, doubts: list[Finding]) -> None:
+    """Leave out messages of zeros that a second publisher puts between a topic's others; refuse where both differ."""
+    for topic in (one for one in topics if one.ends("position") and len(one.rows) >= 20):
+        table = np.array(topic.rows)
+        values, zero = table[:, 2:], np.asarray(~table[:, 2:].any(1))
+        steps = [np.abs(values[n:] - values[:-n]).max(1)[: len(values) - 2] for n in (1, 2)]
+        near = max(_LEAPS, 10 * float(np.median(np.minimum(*steps))))
+        other, last = zero, values[0]
+        if _visits(zero) < _PUBLISHED:
+            other = np.zeros(len(values), bool)
+            for row, value in enumerate(values):
+                other[row] = np.abs(value - last).max() > near
+                last = last if other[row] else value
+            other = ~other if 2 * other.sum() > len(values) else other
+        own, foreign = values[~other], values[other]
+        if _visits(np.asarray(other)) < _PUBLISHED or (np.abs(np.diff(own, axis=0)).max(1) > 2 * near).any():
+            continue
+        if np.abs(own - np.median(foreign, axis=0)).max() < near:
+            continue  # it is there itself
+        problem = f"{other.sum()} of {len(values)} messages of {topic.name} stand between others, far from them: two "
+        problem += "publishers write it"
+        if foreign.any():
+            raise LogError(problem, "stop one of them, and record again", source=path, column=topic.columns[0])
+        remedy = "these are zeros and left out; stop the publisher that sends them"
+        doubts.append(Finding(WARNING, problem, remedy, topic.columns[0], check="two publishers"))
+        gone = set(table[other, 1].tolist())
+        for part in topics:
+            if part.name == topic.name:
+                part.rows = [row for row in part.rows if row[1] not in gone]
+
+
+def _visits(rows: np.ndarray) -> int:
+    """How often rows of a kind begin behind others."""
+    return int((np.diff(rows.astype(int)) == 1).sum())
+
+
+def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
+    """A topic for each group of columns: relays are left out, states of a leader are commands, two that differ and
+    states without commands are refused."""
+    told = any(topic.ends("target") or topic.columns[0] == "#0" for topic in topics)
+    states = [topic for topic in topics if topic.kind == "JointState" and topic.ends("position")]
+    leads = [topic for topic in states if any(word in topic.name.lower() for word in _LEADERS)]
+    if leads and len(leads) < len(states):
+        names = {topic.name for topic in leads}
+        topics = [topic for topic in topics if topic.name not in names or (topic in leads and not told)]
+        for topic in leads:
+            topic.columns = tuple(column.replace(".position", ".target") for column in topic.columns)
+    chosen: dict[tuple[str, ...], Topic] = {}
+    for topic in sorted(topics, key=lambda one: -len(one.rows)):
+        for other in chosen.values():
+            same = topic.kind == other.kind and topic.name != other.name
+            if same and (shared := [name for name in topic.columns if name in other.columns]):
+                said, known_as = _content(topic, shared), _content(other, shared)
+                if 2 * len(said & known_as) <= len(topic.rows):
+                    problem = f"{topic.name} and {other.name} tell it, and differ"
                     remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
                     raise LogError(problem, remedy, source=path, column=shared[0])
-        if columns not in chosen:
-            chosen[columns] = topic, kind, rows
-    names = {name for columns in chosen for name in columns}
-    states, told = (
-        [n.rpartition(".")[0] for n in sorted(names) if n.endswith(end)] for end in (".position", ".target")
-    )
-    if states and not told:
+        chosen.setdefault(topic.columns, topic)
+    names = sorted({name for columns in chosen for name in columns})
+    here, there = ([n.rpartition(".")[0] for n in names if n.endswith(end)] for end in (".position", ".target"))
+    if here and not there and not any(columns[0] == "#0" for columns in chosen):
         problem = "no topic commands these joints"
         remedy = f"record the topic of the commands, whose name holds one of {', '.join(_COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
-    alike = {} if {*states} & {*told} else {t: [s for s in states if _behind(s, t) or _behind(t, s)] for t in told}
+    alike = {} if {*here} & {*there} else {t: [s for s in here if _behind(s, t) or _behind(t, s)] for t in there}
     named = {f"{t}.target": f"{s[0]}.target" for t, s in alike.items() if len(s) == 1}
-    return {tuple(named.get(name, name) for name in columns): rows for columns, (_, _, rows) in chosen.items()}
+    for topic in chosen.values():
+        topic.columns = tuple(named.get(name, name) for name in topic.columns)
+    return list(chosen.values())
 
 
 def _behind(name: str, other: str) -> bool:
@@ -98,10 +184,10 @@ def _behind(name: str, other: str) -> bool:
     return name.endswith(f"_{other}")
 
 
-def _content(columns: tuple[str, ...], rows: list[list[float]], names: list[str]) -> set[tuple[float, ...]]:
+def _content(topic: Topic, names: list[str]) -> set[tuple[float, ...]]:
     """What rows say in some columns and when, whenever they were received."""
-    places = [2 + columns.index(name) for name in names]
-    return {(0.0 if math.isnan(row[0]) else row[0], *(row[place] for place in places)) for row in rows}
+    places = [2 + topic.columns.index(name) for name in names]
+    return {(0.0 if math.isnan(row[0]) else row[0], *(row[place] for place in places)) for row in topic.rows}
 
 
 def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
@@ -121,33 +207,34 @@ def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
         raise LogError(problem, f"copy all its files again, or repair it with `{mends}`", source=path) from None
 
 
-def _samples(topic: str, kind: str, message: Any, seen: list[tuple[str, ...]]) -> Iterator[tuple[float, Any]]:
-    """Numbers by column in a message, so long after its stamp [s]; arrays without names are of joints `seen` before."""
+Points = tuple[np.ndarray, np.ndarray]
+"""Times of a trajectory's points from its start [point], and positions [point, joint]."""
+
+
+def _samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, float], Points | None]]:
+    """Numbers by column in a message, and the points of a trajectory."""
     commanded = any(word in topic.lower() for word in _COMMAND_WORDS)
     for part in ("goal", "trajectory"):
         message = getattr(message, part, message)
     if kind == "Imu":
-        yield 0.0, _imu(message)
+        yield _imu(message), None
     elif kind == "JointState":
-        for field, ours in [("position", "target")] if commanded else _KINDS.items():
-            numbers = getattr(message, field)
+        for name, ours in [("position", "target")] if commanded else _KINDS.items():
+            numbers = getattr(message, name)
             if len(numbers) == len(message.name) > 0:
-                yield 0.0, {f"{_joint(name)}.{ours}": numbers[i] for i, name in enumerate(message.name)}
+                yield {f"{_joint(joint)}.{ours}": numbers[i] for i, joint in enumerate(message.name)}, None
     elif kind == "Float64MultiArray":
-        fits = (c for c in seen if len(c) == len(message.data) and all(name.endswith(".position") for name in c))
-        if commanded and (names := next(fits, ())):
-            targets = (name.replace(".position", ".target") for name in names)
-            yield 0.0, dict(zip(targets, message.data, strict=True))
+        if commanded and len(message.data):
+            yield {f"#{number}": value for number, value in enumerate(message.data)}, None
     elif hasattr(message, "joint_names"):
         columns = [f"{_joint(name)}.target" for name in message.joint_names]
         wanted = (p for name in ("reference", "desired") if (p := getattr(message, name, None)) is not None)
-        points = list(getattr(message, "points", [])) or list(wanted)[:1]
-        points = [point for point in points if len(point.positions) == len(columns) > 0]
-        times = np.array([_seconds(point.time_from_start) for point in points if len(points) > 1] or [0.0])
-        between = np.arange(times[0], min(times[-1], times[0] + 3600), _TRAJECTORY_STEP)  # as controllers do
-        for after in [*between, times[-1]] if points else ():
-            goals = (np.interp(after, times, way) for way in np.array([p.positions for p in points], dtype=float).T)
-            yield float(after), dict(zip(columns, map(float, goals), strict=True))
+        points = list(getattr(message, "points", []))
+        path = [point for point in points or list(wanted)[:1] if len(point.positions) == len(columns) > 0]
+        if path:
+            goals = np.array([point.positions for point in path], dtype=float)
+            times = np.array([_seconds(point.time_from_start) if points else 0.0 for point in path])
+            yield dict(zip(columns, map(float, goals[-1]), strict=True)), (times, goals) if points else None
 
 
 def _joint(name: str) -> str:
@@ -168,15 +255,106 @@ def _imu(message: Any) -> dict[str, float]:
     return told
 
 
-def _streams(found: dict[tuple[str, ...], np.ndarray]) -> list[Stream]:
-    """Streams on one clock: that of the headers where all have one that agrees with the bag's, else the bag's."""
-    offsets = [float(np.median(table[:, 0] - table[:, 1])) for table in found.values()]
-    headers = not any(abs(offset) >= 1.0 for offset in offsets)  # NaN: there is none
-    streams = []
-    for columns, table in found.items():
-        time = np.where(np.isnan(table[:, 0]) | (not headers), table[:, 1], table[:, 0])
+def _streams(topics: list[Topic], path: Path, doubts: list[Finding]) -> list[Stream]:
+    """Streams on one clock, with trajectories as they are followed and arrays in the order of the joints."""
+    streams: list[Stream] = []
+    clocks = _clocks(topics)
+    for topic, time in sorted(zip(topics, clocks, strict=True), key=lambda item: not item[0].ends("position")):
+        values = np.array(topic.rows)[:, 2:]
+        if topic.paths:
+            time, values = _followed(topic, time, streams)
+        columns = topic.columns
+        if columns[0] == "#0":
+            columns = _order(topic, time, values, streams, path, doubts)
         keep = np.append(time[1:] != time[:-1], True)
-        if columns[0].endswith(".target"):  # what a later trajectory replaced was never commanded
-            keep = np.append(time[:-1] < np.minimum.accumulate(time[::-1])[::-1][1:], True)
-        streams.append(Stream(time[keep], dict(zip(columns, table[keep, 2:].T, strict=True))))
-    return [Stream(stream.time - min(s.time[0] for s in streams), stream.columns) for stream in streams]
+        streams.append(Stream(time[keep], dict(zip(columns, values[keep].T, strict=True))))
+    start = min((stream.time[0] for stream in streams), default=0.0)
+    return [Stream(stream.time - start, stream.columns) for stream in streams]
+
+
+def _clocks(topics: list[Topic]) -> list[np.ndarray]:
+    """Times of each topic's messages: the headers' where all that have one share a clock, else the bag's.
+
+    A simulation's headers run at another speed than the bag. Messages without a header are put on the headers' clock by
+    when they were received.
+    """
+    stamps = [np.array(topic.rows)[:, :2] for topic in topics]
+    stamped = [table for table in stamps if not np.isnan(table[:, 0]).any()]
+    if not stamped:
+        return [table[:, 1] for table in stamps]
+    header, bag = max(stamped, key=len).T
+    slope, offset = np.polyfit(bag - bag[0], header, 1) if np.ptp(bag) > 0 else (1.0, header[0])
+    even = np.std(header - offset - slope * (bag - bag[0])) < 0.05
+
+    def mapped(received: np.ndarray) -> np.ndarray:
+        return offset + slope * (received - bag[0]) if even else np.interp(received, bag, header)
+
+    apart = max(abs(float(np.median(table[:, 0] - mapped(table[:, 1])))) for table in stamped)
+    if apart >= _SHARED:
+        return [table[:, 1] for table in stamps]
+    return [np.where(np.isnan(table[:, 0]), mapped(table[:, 1]), table[:, 0]) for table in stamps]
+
+
+def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np.ndarray, np.ndarray]:
+    """Times and targets of trajectories as a controller follows them: each begins where its joints were told to be, or
+    stood at first, and ends where the next begins."""
+    order = np.argsort(time, kind="stable")
+    at = {name: (s.time, values) for s in streams for name, values in s.columns.items()}
+    names = [column.replace(".target", ".position") for column in topic.columns]
+    first = topic.paths[order[0]][1][0]
+    last = np.array([np.interp(time[order[0]], *at[n]) if n in at else first[i] for i, n in enumerate(names)])
+    times, targets = [], []
+    for place, following in itertools.zip_longest(order, order[1:]):
+        after, goals = topic.paths[place]
+        if after[0] > 0:
+            after, goals = np.concatenate([[0.0], after]), np.vstack([last, goals])
+        until = time[following] - time[place] if following is not None else math.inf
+        end = min(float(after[-1]), until, after[0] + 3600)
+        within = [*np.arange(float(after[0]), float(end), _TRAJECTORY_STEP), max(end, after[0])]
+        path = np.stack([np.interp(within, after, goal) for goal in goals.T], axis=1)
+        rows = slice(0, len(within) - (following is not None and end < after[-1] and len(within) > 1))
+        times.append(time[place] + np.array(within)[rows])
+        targets.append(path[rows])
+        last = path[-1]
+    return np.concatenate(times), np.concatenate(targets)
+
+
+def _order(
+    topic: Topic, time: np.ndarray, values: np.ndarray, streams: list[Stream], path: Path, doubts: list[Finding]
+) -> tuple[str, ...]:
+    """Whose targets the numbers of an array are: of the joints whose positions come nearest to them.
+
+    Raises:
+        LogError: where that is unclear.
+    """
+    states = next((s for s in streams if any(n.endswith(".position") for n in s.columns)), None)
+    names = [n for n in states.columns if n.endswith(".position")] if states else []
+    if states is None or len(names) < values.shape[1]:
+        problem = f"{topic.name} sends arrays of {values.shape[1]} numbers, and the states have {len(names)} joints"
+        raise LogError(problem, "record a topic of commands with the names of joints", source=path)
+    row = np.searchsorted(time, states.time, side="right") - 1
+    angle, told = (np.stack([states.columns[n] for n in names], axis=1)[row >= 0], values[row[row >= 0]])
+    if len(angle) < 20:
+        return tuple(name.replace(".position", ".target") for name in names[: values.shape[1]])
+    apart = np.median(np.abs(told[:, :, None] - angle[:, None, :]), axis=0)
+    whose = linear_sum_assignment(apart)[1]
+    number = np.arange(values.shape[1])
+    asked = np.ptp(told, axis=0)
+    least, usual = apart[number, whose], apart[number, number]
+    in_order = values.shape[1] == len(names) and usual.sum() < 1.5 * least.sum() + 0.01 * len(number)
+    chosen = number if in_order else whose
+    others = np.where(chosen[:, None] == np.arange(len(names)), np.inf, apart).min(1) if len(names) > 1 else asked + 1
+    off = apart[number, chosen]
+    unclear = (asked > 0.1) & ((off > 0.5 * asked) | ((off > 0.5 * others) & (not in_order)))
+    if unclear.any():
+        problem = (
+            f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1} follows no joint of "
+        )
+        problem += "the states clearly"
+        raise LogError(problem, "record a topic of commands with the names of joints", source=path)
+    if not in_order:
+        order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
+        problem = f"the numbers of {topic.name} are in another order than the states: {order}, by which they follow"
+        remedy = "correct the names under `columns:` if that is wrong"
+        doubts.append(Finding(WARNING, problem, remedy, check="order of joints"))
+    return tuple(names[at].replace(".position", ".target") for at in chosen)

@@ -7,8 +7,11 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 
+from op3.identify.registration import register
 from op3.identify.study import Outcome
 from op3.identify.sweeper import sweep_or_report
+
+register()
 
 
 def bowl(parameters):

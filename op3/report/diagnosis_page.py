@@ -14,7 +14,7 @@ from op3.report.panels import Panel, panels_figure
 from op3.report.result import RunFolder, publish
 from op3.report.style import MUTED, PALETTE, bars_figure
 from op3.report.tables import TableRows, place_in_range, span
-from op3.report.traces import checks_table, traces_figure
+from op3.report.trace_figures import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted
 from op3.servo import Parameter, RobotModel, effect_class
 from op3.tasks import Prediction
@@ -54,7 +54,7 @@ def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, An
         figures["joints"] = _coloured(_joints_figure(verdict.windows))
     page = Page.of(
         "diagnosis", figures, _tables(verdict, split, content), verdict=verdict, content=content, folder=run.path,
-        joint=joint, effect=effect_class,
+        joint=joint, effect=effect_class, robot=split.fit[0].robot,
     )  # fmt: skip
     return publish(page, values, run)
 

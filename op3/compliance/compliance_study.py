@@ -18,7 +18,7 @@ from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
-from op3.envs.traces import SKIPPED, Traces, Watch
+from op3.envs.step_traces import SKIPPED, Traces, Watch
 from op3.robot import SinusoidalGait, load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.envs.batched import BatchedEnv
-from op3.robot.units import GRAVITY
+from op3.robot.register_units import GRAVITY
 from op3.tasks.addresses import Addresses
 
 Array = NDArray[np.float32]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from op3.robot import ServoMake, load_servo, supply_shares
 from op3.stand_in.hidden import Hidden
-from op3.stand_in.kernel import MEMORY, ROBOT, SERVO, STATE, TICK, encoders, step_slow
+from op3.stand_in.integration import MEMORY, ROBOT, SERVO, STATE, TICK, encoders, step_slow
 from op3.stand_in.world import FORMS, World
 
 Array = NDArray[np.float64]

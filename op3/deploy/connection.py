@@ -18,11 +18,11 @@ from op3.deploy.operator import Console, Operator
 from op3.deploy.panel import Panel
 from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax, Watch
 from op3.deploy.policy_runner import FollowPolicy
+from op3.deploy.robot_state import Calibration
 from op3.deploy.safety import Onlooker, Safety
 from op3.deploy.serial_port import SerialPort
 from op3.deploy.session import Logs, Outcome, Session
 from op3.deploy.start_checks import UNTOUCHED
-from op3.deploy.state import Calibration
 from op3.deploy.ticker import PERIOD, POLICY_TICKS, MonotonicClock
 from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import DEFAULT, Robot, load_robot

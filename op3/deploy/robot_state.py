@@ -19,7 +19,7 @@ from op3.deploy.registers import (
     Units,
 )
 from op3.robot import DEFAULT, Robot, load_robot
-from op3.robot.units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
+from op3.robot.register_units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
 from op3.settings import Named, Number, read_yaml, settings
 
 Array = NDArray[np.float64]

@@ -52,12 +52,18 @@ class StudySettings:
         )
         open_storage(self.storage)
 
-    def run(self, evaluate: Evaluate, starts: Sequence[Mapping[str, Any]] = ()) -> optuna.Study:
-        """Run the study, or go on with it, from these starts."""
+    def run(
+        self,
+        evaluate: Evaluate,
+        starts: Sequence[Mapping[str, Any]] = (),
+        identity: Mapping[str, str] | None = None,
+    ) -> optuna.Study:
+        """Run the study, or go on with it, from these starts; see `run_study` for its identity."""
         given = {
             field.name: getattr(self, field.name) for field in fields(self) if field.name != "parallel_populations"
         }
         given |= {"population": self.population * self.parallel_populations, "starts": starts}
+        given["identity"] = identity
         return run_study(evaluate, **given)
 
     def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:

@@ -29,10 +29,10 @@ from op3.robot import (
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
-from op3.stand_in.kernel import TICK
+from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.integration import TICK
 from op3.stand_in.play import play
 from op3.stand_in.sensors import Imu, Sensors, quantise
-from op3.stand_in.servos import Servos
 from op3.stand_in.world import World
 
 BOARD_EVERY = 8

@@ -7,14 +7,14 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.compliance.compare import Difference
+from op3.compliance.compliance_study import Measured
 from op3.compliance.energy import Energy
 from op3.compliance.gains import Gains
-from op3.compliance.study import Measured
-from op3.intervals import wilson_interval
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import GRID, bars_figure, colours, dress, grid_figure, shade, words
 from op3.report.tables import TableRows, span
+from op3.sample_intervals import wilson_interval
 from op3.tasks.pushes import DIRECTIONS
 
 LANDING = ("force", "acceleration", "speed", "height")

@@ -1,0 +1,34 @@
+"""Check a robot file: its joints, what of its model acts, and a picture of it at home.
+
+python experiments/check.py robot=<robot.yaml> [out=<picture>.png]
+
+As a command: op3 check <robot.yaml>. Exit code 1 where the file cannot be right.
+"""
+
+import sys
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from op3.apps.command_result import CommandResult
+from op3.apps.fields import check_given
+from op3.apps.support import output_folder
+from op3.report.frames import RenderError
+from op3.report.robot_table import draw_robot, robot_table
+from op3.robot import load_robot
+from op3.robot.robot import robot_files
+
+
+def main(cfg: DictConfig) -> CommandResult:
+    """Print the table of a robot, and draw it."""
+    check_given(cfg, "robot", "a robot file")
+    robot = load_robot(cfg.robot)
+    out, files = cfg.out, []
+    if out is None and robot.path not in robot_files().values():
+        out = robot.path.with_suffix(".png")
+    if out is not None:
+        try:
+            files.append(draw_robot(robot, Path(out)))
+        except RenderError as error:
+            print(f"no picture: {error}", file=sys.stderr)
+    return CommandResult(output_folder(), robot_table(robot), files=tuple(files))

@@ -1,0 +1,162 @@
+"""The MJCF or URDF of a robot file as MuJoCo reads it: what of it is used, what the servo model replaces, and what not.
+
+By rule, what drives or brakes a joint with a servo is the servo model's: actuators, effort limits, damping, friction,
+armature, springs and compensation of gravity. Joints without a servo keep what the model gives them; those that follow
+others are held to it by equalities. Tendons, other equalities, sensors and keyframes are not used.
+"""
+
+# MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from op3.robot.robot_file import RobotFile
+
+USED, REPLACED, IGNORED = "used", "replaced by the servo model", "ignored"
+
+_STIFF = (0.002, 1.0)
+"""Time constant [s] and damping ratio of the equality that couples a joint."""
+
+Followed = dict[str, tuple[str | None, float, float]]
+"""By joint: the one that it follows (None: it is held), ratio and offset."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something in a model that acts on joints.
+
+    Attributes:
+        what: kind of element.
+        names: of the joints or elements.
+        fate: `USED`, `REPLACED` or `IGNORED`, and why.
+    """
+
+    what: str
+    names: tuple[str, ...]
+    fate: str
+
+    @property
+    def ignored(self) -> bool:
+        """Whether it acts in the model and not here."""
+        return self.fate.startswith(IGNORED)
+
+    def __str__(self) -> str:
+        shown = ", ".join(self.names[:6]) + (f" and {len(self.names) - 6} more" if len(self.names) > 6 else "")
+        return f"{self.what} of {shown}: {self.fate}"
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSource:
+    """A model, ready to compile.
+
+    Attributes:
+        spec: without what is not used, a free base, and what lies around that.
+        followed: joints that follow others or are held.
+        parts: what acted on joints, and what became of it.
+    """
+
+    spec: mujoco.MjSpec
+    followed: Followed
+    parts: tuple[Part, ...]
+
+
+def read_model(path: Path, content: RobotFile) -> ModelSource:
+    """Read a robot's model.
+
+    Raises:
+        ValueError: if MuJoCo cannot read it, or a mesh of a ROS package is not there.
+    """
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic = False  # which takes a URDF's first link for a part of the world
+    for mesh in spec.meshes:
+        if "package:" in mesh.file:
+            mesh.file = str(_of_package(mesh.file, path))
+    followed = _followed(spec, content)
+    parts = tuple(part for part in _parts(spec, content, followed) if part.names)
+    around = spec.worldbody.geoms if content.base else ()
+    for element in (*spec.actuators, *spec.sensors, *spec.keys, *spec.equalities, *spec.tendons, *around):
+        spec.delete(element)
+    for body in spec.bodies:
+        body.gravcomp = 0.0
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            spec.delete(joint)
+        elif joint.name in content.joints:
+            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            joint.stiffness = np.zeros_like(joint.stiffness)
+    for name, (driver, ratio, offset) in followed.items():
+        data = np.zeros(mujoco.mjNEQDATA)
+        data[:2] = offset, ratio
+        names = {"name1": name} if driver is None else {"name1": name, "name2": driver}
+        kinds = {"type": mujoco.mjtEq.mjEQ_JOINT, "objtype": mujoco.mjtObj.mjOBJ_JOINT, "solref": _STIFF}
+        spec.add_equality(name=f"{name}_follows", data=data, active=True, **kinds, **names)
+    return ModelSource(spec, followed, parts)
+
+
+def _followed(spec: mujoco.MjSpec, content: RobotFile) -> Followed:
+    """What the file says of joints without a servo, and what the model says of those that neither lists."""
+    told = {name: entry for name, entry in content.unpowered.items() if not entry.passive}
+    known = {joint.name for joint in spec.joints}  # other names are refused by the check of the file
+    told = {n: e for n, e in told.items() if n in known and (not e.coupled or e.coupled.joint in content.joints)}
+    found: Followed = {
+        name: (one.joint, one.ratio, one.offset) if (one := entry.coupled) else (None, 0.0, entry.held or 0.0)
+        for name, entry in told.items()
+    }
+    for name, coupling in _mimics(spec).items():
+        if name not in content.joints and name not in content.unpowered and coupling[0] in content.joints:
+            found[name] = coupling
+    return found
+
+
+def _mimics(spec: mujoco.MjSpec) -> dict[str, tuple[str, float, float]]:
+    """Couplings that an MJCF's equality of two joints says, which MuJoCo makes of a URDF's `mimic` too."""
+    linear = (e for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_JOINT and e.name2 and not np.any(e.data[2:5]))
+    return {one.name1: (one.name2, float(one.data[1]), float(one.data[0])) for one in linear}
+
+
+def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Iterator[Part]:
+    joints = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    driven = [joint for joint in joints if joint.name in content.joints]
+    free = tuple(joint.name for joint in joints if joint.name not in content.joints and joint.name not in followed)
+    yield Part("actuators", tuple(one.name or one.target for one in spec.actuators), REPLACED)
+    for what, acts in (
+        ("damping", lambda joint: np.any(joint.damping)),
+        ("friction", lambda joint: joint.frictionloss),
+        ("armature", lambda joint: joint.armature),
+        ("effort limits", lambda joint: np.any(joint.actfrcrange)),
+    ):
+        yield Part(what, tuple(joint.name for joint in driven if acts(joint)), REPLACED)
+    yield Part("springs", tuple(joint.name for joint in driven if np.any(joint.stiffness)), IGNORED)
+    yield Part("compensation of gravity", tuple(body.name for body in spec.bodies if body.gravcomp), IGNORED)
+    yield Part("tendons", tuple(tendon.name or "one without a name" for tendon in spec.tendons), IGNORED)
+    own = {name: coupling[0] for name, coupling in _mimics(spec).items() if name in content.joints}
+    yield Part("coupling", tuple(f"{n} to {driver}" for n, driver in own.items()), f"{IGNORED}: it has its own servo")
+    told = {*own, *(name for name, (driver, *_) in followed.items() if driver)}
+    others = (one for one in spec.equalities if one.type != mujoco.mjtEq.mjEQ_JOINT or one.name1 not in told)
+    yield Part("equalities", tuple(one.name or f"{one.name1} and {one.name2}" for one in others), IGNORED)
+    yield Part("coupling", tuple(f"{n} to {driver}" for n, (driver, *_) in followed.items() if driver), USED)
+    yield Part("held position", tuple(name for name, (driver, *_) in followed.items() if not driver), USED)
+    yield Part("spring, damping and friction", free, f"{USED}, as passive joints")
+
+
+def _of_package(file: str, model: Path) -> Path:
+    """A mesh of a ROS package, looked for around the model's file."""
+    package, _, rest = re.sub("^.*package:/+", "", file).partition("/")
+    above = [model.parent, *model.parent.parents][:4]
+    tried = [place / rest for place in above] + [place / package / rest for place in above]
+    tried += [model.parent / folder / Path(rest).name for folder in ("", "meshes", "assets")]
+    found = next((path for path in tried if path.is_file()), None)
+    if found is None:
+        raise ValueError(
+            f"mesh package://{package}/{rest} is not there: put the folder {package!r} beside {model.name}, or write"
+            " the mesh's path in it"
+        )
+    return found

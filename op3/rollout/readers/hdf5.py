@@ -1,0 +1,99 @@
+"""HDF5 with arrays [time, joint] by name: episodes as ALOHA records them, and others of that kind.
+
+ALOHA's files hold `observations/qpos`, `qvel`, `effort` and `action` of one or two arms of six joints and a gripper, at
+50 rows per second, without times. Its grippers run from 0 to 1 over an opening that is not in the file, so that they
+are left out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from op3.rollout.errors import LogError
+from op3.rollout.guess import guess_all
+from op3.rollout.health.finding import WARNING, Finding
+from op3.rollout.readers.npz import columns_of
+from op3.rollout.readers.reader import Column, Recording, Stream, needed
+
+_RATE = 50.0
+"""Rows per second of ALOHA's recordings."""
+
+_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")
+_TIMES = ("time", "times", "timestamp", "timestamps", "t")
+_NAMES = ("joints", "joint_names", "names")
+
+
+class Hdf5:
+    """A file of arrays by name."""
+
+    title = "HDF5, also of ALOHA (needs op3[hdf5])"
+    paths = "<name>.hdf5, <name>.h5"
+
+    def claims(self, path: Path) -> bool:
+        """By the ending."""
+        return path.is_file() and path.suffix in (".hdf5", ".h5")
+
+    def read(self, path: Path) -> list[Recording]:
+        """One recording."""
+        content, about = _content(path)
+        long = [len(array) for array in content.values() if array.ndim == 2]
+        rows = max(set(long), key=long.count, default=0)
+        if rows < 2:
+            raise LogError("there are no arrays of several times", "save arrays [time, joint]", source=path)
+        doubts: list[Finding] = []
+        time = next((content.pop(n).reshape(-1) for n in _TIMES if n in content), None)
+        if time is None:
+            rate = next((float(about[n]) for n in ("fps", "rate", "hz") if _positive(about.get(n))), 0.0)
+            if not rate:
+                rate = _RATE
+                problem = f"no times are in the file, and {_RATE:g} rows per second are assumed, as ALOHA records them"
+                remedy = "save `time` [s], or an attribute `fps`"
+                doubts.append(Finding(WARNING, problem, remedy, "time", check="times"))
+            time = np.arange(rows) / rate
+        width = next((array.shape[1] for name, array in content.items() if name == "qpos"), 0)
+        joints = [str(one) for name in _NAMES for one in np.atleast_1d(about.get(name, []))]
+        if not joints and width in (len(_ARM), 2 * len(_ARM)):
+            sides = ("left_", "right_") if width > len(_ARM) else ("",)
+            joints = [f"{side}{joint}" for side in sides for joint in _ARM]
+        content = {name: array for name, array in content.items() if len(array) == rows and array.ndim <= 2}
+        columns = columns_of(content, rows, joints, path)
+        meanings = guess_all(columns, joints)
+        for name, values in columns.items():
+            gripper = str(meanings[name].name).rpartition(".")[0].endswith("gripper")
+            if gripper and values.min() > -0.5 and values.max() < 1.5:
+                meanings[name] = Column(None, why="0 to 1 over an opening that is not in the file")
+        metadata = {"robot": "simulated" if about.get("sim") else "real", "mount": "stand"}
+        return [Recording([Stream(time.astype(float), columns)], metadata, meanings, doubts=doubts)]
+
+
+def _positive(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and float(value) > 0
+
+
+def _content(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays of numbers by the last part of their name, and the attributes and texts; pictures are passed over."""
+    h5py = needed("h5py", "hdf5", path)
+    arrays: dict[str, np.ndarray] = {}
+    about: dict[str, Any] = {}
+
+    def take(name: str, item: Any) -> None:
+        about.update(item.attrs)
+        if not isinstance(item, h5py.Dataset):
+            return
+        short = name.rpartition("/")[2]
+        if item.ndim == 1 and item.dtype.kind in "SUO":
+            about[short] = [one.decode() if isinstance(one, bytes) else str(one) for one in item[()]]
+        elif item.ndim in (1, 2) and item.dtype.kind in "fiub":
+            arrays.setdefault(short, np.asarray(item[()], dtype=float))
+
+    try:
+        with h5py.File(path, "r") as file:
+            about.update(file.attrs)
+            file.visititems(take)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
+        said = " ".join(str(error).split())[:120]
+        raise LogError(f"the file is no readable HDF5 ({said})", "copy the file again", source=path) from None
+    return arrays, about
