@@ -62,7 +62,7 @@ class Job:
 
 def searched() -> bool:
     """Whether this process works for a study over a command's settings."""
-    hydra = HydraConfig.get()
+    hydra: Any = HydraConfig.get()
     target = OmegaConf.select(hydra, "sweeper._target_")
     return hydra.mode == RunMode.MULTIRUN and target == PopulationSweeperConf._target_
 
