@@ -99,7 +99,11 @@ def test_goal_currents_are_the_pd_of_the_bytes_just_read(tmp_path):
 
 def blocked(rig):
     """Joints that do not move whatever flows, as against a stop."""
-    rig.physics.drive = lambda enabled, current: None
+
+    def drive(enabled, current):
+        rig.physics._current = np.where(enabled, current, 0.0)
+
+    rig.physics.drive = drive
     return rig
 
 

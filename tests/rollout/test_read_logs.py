@@ -43,9 +43,11 @@ def test_one_bad_log_refuses_all(shelf):
 def test_nothing_found_says_what_was_looked_for(tmp_path):
     """Empty folders, patterns, lists and missing files are refused with what may be named."""
     (tmp_path / "empty").mkdir()
-    for paths in (tmp_path / "empty", tmp_path / "*.csv", [], tmp_path / "no.csv"):
+    for paths in (tmp_path / "empty", tmp_path / "*.csv", []):
         with pytest.raises(LogError, match=r"a rollout folder, a wide \.csv"):
             read_logs(paths)
+    with pytest.raises(LogError, match=r"no\.csv: there is no such file or folder"):
+        read_logs(tmp_path / "no.csv")
 
 
 def test_single_log_kinds(shelf):

@@ -98,7 +98,7 @@ def test_servos_of_other_supplies_and_gains_are_played_and_predicted(played_by, 
     arrays = {key: log.array(key) for key in log.channels}
     del arrays["joint", "voltage"], arrays["command", "firmware_gain"]
     bare = Rollout.from_arrays(arrays, log.metadata)
-    assert max(predict_logs(model, [one]).error_mrad.value for one in (log, bare)) < 6.0
+    assert max(predict_logs(model, [one]).error_mrad.value for one in (log, bare)) < 8.0
 
 
 def test_makes_may_differ_from_joint_to_joint(tmp_path):
