@@ -38,6 +38,8 @@ class Velocity:
         turn_share: probability of turning on the spot.
         straight_share: probability of moving without turning.
         scale: factor on all ranges, which a curriculum may raise from 0 to 1.
+        corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: what
+            is drawn beyond the ellipsoid of the ranges is brought back to it. A curriculum may raise it.
     """
 
     mirror = (1.0, -1.0, -1.0)
@@ -54,6 +56,7 @@ class Velocity:
         turn_share: float = 0.0,
         straight_share: float = 0.0,
         scale: float = 1.0,
+        corners: float = 1.0,
     ):
         for name, bounds in (("forward", forward), ("sideways", sideways), ("turning", turning)):
             if len(bounds) != 2 or bounds[0] > bounds[1]:
@@ -62,7 +65,7 @@ class Velocity:
             raise ValueError(f"interval must be above 0 s, got {interval}")
         if not 0 <= zero_share + turn_share + straight_share <= 1:
             raise ValueError("zero_share, turn_share and straight_share must be at least 0 and at most 1 together")
-        self.scale = scale
+        self.scale, self.corners = scale, corners
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
         self._interval, self._shares = interval, (zero_share, turn_share, straight_share)
         self._count = ceil(duration / interval) + 1
@@ -73,7 +76,12 @@ class Velocity:
         """Draw the commands of whole episodes."""
         zero, turn, straight = np.cumsum(self._shares)
         for row, generator in zip(episodes.rows, episodes.generators(6), strict=True):
-            drawn = self.scale * generator.uniform(self._low, self._high, (self._count, 3))
+            drawn = generator.uniform(self._low, self._high, (self._count, 3))
+            end = np.where(drawn < 0, self._low, self._high)
+            size = np.linalg.norm(
+                np.divide(drawn, end, out=np.zeros_like(drawn), where=end != 0), axis=1, keepdims=True
+            )
+            drawn *= self.scale / np.maximum(size, 1.0) ** (1.0 - self.corners)
             lot = generator.random(self._count)
             drawn[(zero <= lot) & (lot < turn), :2] = 0.0
             drawn[(turn <= lot) & (lot < straight), 2] = 0.0
