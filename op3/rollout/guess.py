@@ -84,7 +84,9 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     word = next((word for word in (*_WORDS, *_SENSED) if word in lower), None)
     if word is not None:
         known = {*_WORDS, *_FILLERS, *_UNITS}
-        joint = _joint("_".join(w for w in words if w.lower() not in known), joints)
+        whole = f"_{'_'.join(words).lower()}_"  # a joint's own name may hold such words, as wrist_angle does
+        named = max((one for one in joints if f"_{one.lower()}_" in whole), key=len, default=None)
+        joint = named or _joint("_".join(w for w in words if w.lower() not in known), joints)
         column = CHANNELS[_WORDS.get(word, normal_key("joint/position"))].column.format(joint=joint)
         if column.endswith("temperature") and unit == "deg":  # of degC
             unit = None
