@@ -22,7 +22,7 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
         What was found, or in a job for a population the results of its trials.
 
     Raises:
-        ValueError: if the command has nothing to optimise.
+        ValueError: if the command has nothing to optimise, or no run succeeded.
     """
     from op3.identify.sweeper import sweep_or_report
 
@@ -34,6 +34,8 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
     found = sweep_or_report(cfg, evaluate)
     if OmegaConf.select(cfg, "population") is not None:
         return found
+    if found.get("best_value") is None:
+        raise ValueError(f"none of the {found['n_trials']} runs gave one number; look at the folders in {folder}")
     best = ", ".join(f"{name}={value:.4g}" for name, value in (found["best_params"] or {}).items())
     headline = f"The best of {found['n_trials']} runs gives {found['best_value']:.4g}: {best}."
     results = (folder / "optimization_results.yaml",)

@@ -87,10 +87,10 @@ class PolicyBundle:
         """
         fields = [f for f in dataclasses.fields(self.manifest) if f.name != "training"]
         values = {f.name: getattr(self.manifest, f.name) for f in fields}
-        told = {
+        changed = {
             f.name: values[f.name] for f in fields if f.default is dataclasses.MISSING or values[f.name] != f.default
         }
-        digest = hashlib.sha256(json.dumps(told, default=dataclasses.asdict, sort_keys=True).encode())
+        digest = hashlib.sha256(json.dumps(changed, default=dataclasses.asdict, sort_keys=True).encode())
         for name in sorted(self.weights):
             digest.update(name.encode() + self.weights[name].contiguous().numpy().tobytes())
         return digest.hexdigest()[:16]

@@ -25,7 +25,8 @@ within 2 mm, gets to 5.3 mm on two layers of bricks. One whose legs are sent thr
 
 LARGEST_OVERLAP_COMMANDED = 0.02
 """The same of poses that are commanded [m]: legs of 0.25 m press on each other with 4 N at the highest gain. The
-shipped walk gets to 6.6 mm, stiff balancing to 11 mm, and a walk whose legs are sent through each other to 50 mm."""
+shipped walk gets to 6.6 mm, a walk whose legs are sent through each other to 50 mm; the stiff policy of the demo is
+stopped here."""
 
 HORIZON = 0.016
 """How far ahead of a measured pose a collision counts as coming [s]: within two ticks of 8 ms a new command acts."""
