@@ -1,4 +1,4 @@
-"""Random edits of robots, and of logs of every format: each is read or refused in one sentence, in time, without a trace.
+"""Random edits of robots and of logs of every format: each is read or refused in one sentence, in time, traceless.
 
 python experiments/benchmarks/fuzz_logs.py [EDITS] [SEED] [FORMAT]
 
