@@ -83,7 +83,7 @@ class BatchedEnv(EnvBase):
         """Commands the servos itself at every tick, as `op3.tasks.StiffWalk` does; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
         """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
-        set_specs(self, task, self.action_map, self.mdp.observer.size, num_envs)
+        set_specs(self, self.mdp)
         self.set_seed(seed)
 
     def _simulate(self, timestep: float | None) -> float:
@@ -188,7 +188,7 @@ class BatchedEnv(EnvBase):
         commands = self._scaled(self.mdp.resting_commands(len(rows)))
         every = len(rows) == self.num_envs
         self.simulation.reset(episodes.qpos, commands, episodes.qvel, rows=None if every else rows)
-        return answer(self.task, self.mdp.begun(self.snapshot()))
+        return answer(self.mdp, self.mdp.begun(self.snapshot()))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
@@ -205,7 +205,7 @@ class BatchedEnv(EnvBase):
             self.simulation.advance()
         throughout = self._whole_step.result()
         outcome = self.mdp.finish(action, self.snapshot(), throughout, self.simulation.failed)
-        return answer(self.task, outcome.observation, outcome, throughout)
+        return answer(self.mdp, outcome.observation, outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
         """Commands as the servos get them."""

@@ -16,7 +16,7 @@ from op3.policy.manifest import Manifest
 from op3.policy.mirror import Mirror
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
-from op3.policy.terms import Term
+from op3.policy.terms import FUNCTION, Term, find
 from op3.robot import Robot, load_robot
 from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
 from op3.tasks.setups import OP3_CONTROL_PERIOD
@@ -68,6 +68,7 @@ class Task:
         success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
+        privileged: terms of `op3.tasks.privileged`, which critics see beside the observations.
         curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
             straight lines between; in training alone.
         whole_step: whether currents and motion of the body enter rewards as means over the policy step, or as they are
@@ -88,6 +89,7 @@ class Task:
     success: Terms = field(default_factory=dict)
     events: Terms = field(default_factory=dict)
     commands: Terms = field(default_factory=dict)
+    privileged: Terms = field(default_factory=dict)
     curricula: Named[Any] = field(default_factory=dict)
     whole_step: bool = True
 
@@ -153,7 +155,20 @@ class Task:
         robot = load_robot(self.robot)
         images = {name: getattr(term.target, "mirror", None) for name, term in self._commands(robot).items()}
         example = self.example(robot, action_map.size)
-        return Mirror(self.observer(action_map.size), example, action_map, images)
+        return Mirror(self.observer(action_map.size), example, action_map, images, self.privileged_signs)
+
+    @property
+    def privileged_signs(self) -> tuple[float, ...]:
+        """Of the image of each number that critics alone see, in the robot's plane of symmetry."""
+        from op3.tasks import privileged
+
+        signs: list[float] = []
+        for name, spec in self.terms("privileged").items():
+            term = find(spec.get(FUNCTION, name), privileged, f"privileged.{name}")
+            if not hasattr(term, "mirror"):
+                raise ValueError(f"privileged.{name}: give the function mirror = (<a sign for each of its numbers>)")
+            signs += term.mirror
+        return tuple(signs)
 
     def _commands(self, robot: Robot) -> dict[str, Term]:
         """The terms of the commands, for one robot."""

@@ -304,9 +304,9 @@ def test_the_normalisation_is_frozen_in_evaluation(kind, options):
     env, judge = Pendulum(16), Pendulum(8)
     algorithm = kind(env, **options)
     taken = rollout(env, algorithm, 8)
-    assert float(algorithm.normaliser.count) == 0
+    assert float(algorithm.normaliser.count[0]) == 0
     algorithm.take(taken)
-    assert float(algorithm.normaliser.count) == 16 * 8
+    assert float(algorithm.normaliser.count[0]) == 16 * 8
     before = copy.deepcopy(algorithm.state_dict())
     evaluate(judge, algorithm.act, 0, LIMIT)
     rollout(env, algorithm, 8)
