@@ -81,6 +81,7 @@ class Mdp:
             "robot": self.robot,
             "scene": scene,
             "model": model,
+            "action_map": action_map,
             "num_envs": num_envs,
             "policy_period": POLICY_PERIOD,
             "duration": task.duration,
