@@ -18,7 +18,7 @@ from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
-from op3.envs.step_traces import SKIPPED, Traces, Watch
+from op3.envs.step_traces import SKIPPED, StepWatch, Traces
 from op3.robot import SinusoidalGait, load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -192,7 +192,7 @@ class Study:
     def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
         """Episodes on the first ground, seen every millisecond: logs, landings, traces, and the robot's mass [kg]."""
         env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
-        watch = Watch(env)
+        watch = StepWatch(env)
         with watch.watching():
             logs = record_episodes(env, actor.policy)
         traces = watch.traces()

@@ -89,7 +89,7 @@ BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class RobotState:
     """One tick's reading. Where something did not answer, its last values stand. Without an IMU its channels are None.
 
     Attributes:
@@ -137,7 +137,7 @@ class State:
         alert: NDArray[np.bool_],
         answered: NDArray[np.bool_],
         imu_answered: bool,
-    ) -> State:
+    ) -> RobotState:
         """Registers of `CONTENTS` in SI units, `offset` [rad] added to angles, and what the board said, if any."""
         volts, seen = units.voltage * raw["voltage"], {}
         supply = float(volts.min())

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.sensitivity import Box, Residuals
-from op3.identify.study import Outcome
+from op3.identify.study import TrialOutcome
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks import Prediction, Replay
@@ -47,7 +47,7 @@ class Problem:
         }
         return self.replay.run(self.model, given, candidates)
 
-    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
         """The loss of every parameter set, its unweighted terms by channel beside it; all have the same names."""
         predictions = self.predict(columns(population), len(population))
         losses = self.loss(predictions)
@@ -59,7 +59,7 @@ class Problem:
             means = {
                 "/".join(key): float(torch.stack([t[key][i] for t in terms if key in t]).mean()) for key in sorted(keys)
             }
-            outcomes.append(Outcome((loss,), means) if loss == loss else Outcome(None, error="diverged"))
+            outcomes.append(TrialOutcome((loss,), means) if loss == loss else TrialOutcome(None, error="diverged"))
         return outcomes
 
     def _keep(self, population: Sequence[Mapping[str, float]], residual: Tensor) -> None:

@@ -24,9 +24,9 @@ from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, resid
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.polish import polish
 from op3.identify.problem import Problem, columns
-from op3.identify.reidentified import Array, Candidate, Reidentified, better_half, chance_distances, unbeaten
+from op3.identify.reidentified import Array, ParetoPoint, Reidentified, better_half, chance_distances, unbeaten
 from op3.identify.sensitivity import Box
-from op3.identify.study import Outcome
+from op3.identify.study import TrialOutcome
 from op3.policy import PolicyBundle
 from op3.robot import load_robot
 from op3.rollout import Rollout
@@ -164,20 +164,20 @@ class Reidentification:
         whole = " ".join([*logs, weights.hexdigest(), model_hash(self.model), *settings])
         return hashlib.sha256(whole.encode()).hexdigest()[:12]
 
-    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
         """Both objectives of trials whose parameters are config keys, as the study asks them."""
         trials = [{key.removeprefix(PREFIX): float(value) for key, value in trial.items()} for trial in population]
         outcomes = []
         for one in self._measure(trials, PLAUSIBLE * self.start.excitation, self.race):
             if not np.isfinite(one.excitation):
-                outcomes.append(Outcome(None, error="diverged"))
+                outcomes.append(TrialOutcome(None, error="diverged"))
                 continue
             attributes: dict[str, object] = {"episodes": len(one.returns), **one.told}
             if len(one.returns) == self.episodes:
                 attributes["returns"] = list(one.returns)
             elif not one.returns:
                 attributes["skipped"] = "implausible excitation loss"
-            outcomes.append(Outcome((one.excitation, one.distance), attributes))
+            outcomes.append(TrialOutcome((one.excitation, one.distance), attributes))
         return outcomes
 
     def propose(self, count: int, bounds: Mapping[str, tuple[float, float]], seed: int = 0) -> list[dict[str, float]]:
@@ -216,7 +216,7 @@ class Reidentification:
 
     def _measure(
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
-    ) -> list[Candidate]:
+    ) -> list[ParetoPoint]:
         """Both objectives; beyond a plausible excitation loss the distance is larger than any that episodes have."""
         values = columns(trials)
         seen = self._shared("losses", values, len(trials))
@@ -231,13 +231,13 @@ class Reidentification:
             loss, own = float(losses[i]), played.get(i)
             told = {IMAGE: _short(images[i])}
             if own is None:
-                measured.append(Candidate(trial, loss, worthless, told=told))
+                measured.append(ParetoPoint(trial, loss, worthless, told=told))
             elif not np.isfinite(own).all():
-                measured.append(Candidate(trial, float("nan"), worthless))
+                measured.append(ParetoPoint(trial, float("nan"), worthless))
             else:
                 whole = self._foresee(own)
                 told[MISFIT] = _short(quantile_misfit(whole, self.actual))
-                measured.append(Candidate(trial, loss, self._distance(whole), tuple(own.tolist()), told))
+                measured.append(ParetoPoint(trial, loss, self._distance(whole), tuple(own.tolist()), told))
         return measured
 
     def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:
@@ -316,11 +316,11 @@ class Reidentification:
             at_chance=at_chance,
         )
 
-    def _distinct(self, ordered: Sequence[Candidate], all_: Sequence[Candidate], count: int) -> list[Candidate]:
+    def _distinct(self, ordered: Sequence[ParetoPoint], all_: Sequence[ParetoPoint], count: int) -> list[ParetoPoint]:
         """The first candidates that differ from one another and from the start."""
         values = np.array([[one.values[name] for name in self.names] for one in all_])
         span = np.ptp(values, axis=0) if len(values) else np.ones(len(self.names))
-        taken: list[Candidate] = []
+        taken: list[ParetoPoint] = []
         for one in ordered:
             others = [self.start, *taken]
             steps = [[abs(one.values[name] - other.values[name]) for name in self.names] for other in others]
@@ -328,7 +328,7 @@ class Reidentification:
                 taken.append(one)
         return taken
 
-    def _replay(self, candidates: Sequence[Candidate], times: int) -> list[Candidate]:
+    def _replay(self, candidates: Sequence[ParetoPoint], times: int) -> list[ParetoPoint]:
         """The candidates over further episodes; `times` sets of episodes lie before them."""
         values = columns([one.values for one in candidates])
         numbers = range(times * self.episodes, (times + 1) * self.episodes)
@@ -343,10 +343,10 @@ class Reidentification:
         known = np.asarray(returns)
         return float(wasserstein_distance(self.actual, known)) if np.isfinite(known).all() else float("inf")
 
-    def _candidate(self, trial: optuna.trial.FrozenTrial) -> Candidate:
+    def _candidate(self, trial: optuna.trial.FrozenTrial) -> ParetoPoint:
         values = {key.removeprefix(PREFIX): float(value) for key, value in trial.params.items()}
         excitation, distance = trial.values
-        return Candidate(values, excitation, distance, tuple(trial.user_attrs.get("returns", ())))
+        return ParetoPoint(values, excitation, distance, tuple(trial.user_attrs.get("returns", ())))
 
 
 def _short(vector: Array) -> list[float]:

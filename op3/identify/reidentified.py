@@ -16,7 +16,7 @@ PAIRS = 400
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ParetoPoint:
     """A point of the Pareto front, or the start.
 
     Attributes:
@@ -54,12 +54,12 @@ class Reidentified:
     """
 
     model: RobotModel
-    start: Candidate
-    chosen: Candidate
-    front: Sequence[Candidate]
+    start: ParetoPoint
+    chosen: ParetoPoint
+    front: Sequence[ParetoPoint]
     actual: Sequence[float]
-    fresh_start: Candidate
-    fresh_chosen: Candidate
+    fresh_start: ParetoPoint
+    fresh_chosen: ParetoPoint
     noise: float
     at_chance: bool = False
     start_name: str = "excitation only"
@@ -70,7 +70,7 @@ class Reidentified:
         return self.chosen is not self.start
 
 
-def unbeaten(candidates: Sequence[Candidate]) -> list[Candidate]:
+def unbeaten(candidates: Sequence[ParetoPoint]) -> list[ParetoPoint]:
     """Those that no other is better than: nowhere worse, and better in one objective."""
     pairs = np.array([(one.excitation, one.distance) for one in candidates]).reshape(-1, 2)
     beaten = [((pairs <= own).all(axis=-1) & (pairs < own).any(axis=-1)).any() for own in pairs]

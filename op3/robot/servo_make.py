@@ -81,7 +81,7 @@ def _in(unit: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-class Motor(Record):
+class MotorData(Record):
     """The motor and its gear.
 
     Attributes:
@@ -119,7 +119,7 @@ class Counts(Record):
     duty: Annotated[Figure, _in("counts")] | None = None
 
 
-class Limits(Record):
+class ServoRatings(Record):
     """What the servo stands.
 
     Attributes:
@@ -187,9 +187,9 @@ class ServoMake(Record):
     sources: Mapping[str, str]
     loop: Loop
     supply: Annotated[Figure, _in("V")]
-    motor: Motor
+    motor: MotorData
     counts: Counts
-    limits: Limits
+    limits: ServoRatings
     position_law: PositionLaw | None = None
     model_number: int | None = None
     bus: Literal["dynamixel-x"] | None = None

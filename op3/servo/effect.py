@@ -198,7 +198,7 @@ class Trunk:
 
 
 @dataclass(frozen=True)
-class Clock:
+class Periods:
     """The two rhythms of the law.
 
     Attributes:
@@ -327,7 +327,7 @@ class Effect:
         del sides
         return values
 
-    def depth(self, clock: Clock) -> int:
+    def depth(self, clock: Periods) -> int:
         """How many numbers beside its memory it remembers of each joint."""
         del clock
         return 0

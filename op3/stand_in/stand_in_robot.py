@@ -29,11 +29,11 @@ from op3.robot import (
 from op3.robot.scenes import Scene
 from op3.rollout import Rollout
 from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
-from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK
 from op3.stand_in.play import play
 from op3.stand_in.sensors import Imu, Sensors, quantise
-from op3.stand_in.world import World
+from op3.stand_in.world import HiddenWorld
 
 BOARD_EVERY = 8
 """Ticks between two looks of a board's drive at its motion; in between the board follows it smoothly."""
@@ -54,7 +54,7 @@ class StandIn:
             give equal bytes, and repeats differ.
     """
 
-    def __init__(self, world: World, scene: str | Scene = "floor", *, seed: int = 0):
+    def __init__(self, world: HiddenWorld, scene: str | Scene = "floor", *, seed: int = 0):
         self._world, self.hidden = world, world.hidden
         self.seed = _whole("seed", seed)
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
@@ -72,7 +72,7 @@ class StandIn:
         ids = [model.joint(name).id for name in names]
         ranges = np.where(model.jnt_limited[ids, None], model.jnt_range[ids], [-np.inf, np.inf])
         count = len(self.joints)
-        self.servos = Servos(world, self.hidden, self.joints, self.makes, self.rest, ranges)
+        self.servos = HiddenServos(world, self.hidden, self.joints, self.makes, self.rest, ranges)
         self._model = model
         self._has_imu = self.scene.robot is not None and self.known.file.imu is not None
         if self.scene.floating:

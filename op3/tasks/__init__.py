@@ -4,7 +4,7 @@ from op3.tasks.baselines import Hold, Random, StiffWalk, Zero, position_mode
 from op3.tasks.composer_task import ComposerTask, composer_environment
 from op3.tasks.episodes import episode_seed
 from op3.tasks.evaluation import evaluation_return, evaluation_rewards
-from op3.tasks.randomisation import Randomisation
+from op3.tasks.randomisation import ParameterRanges
 from op3.tasks.replay import Prediction, Replay
 from op3.tasks.setups import Setup
 from op3.tasks.simulate import ModelRobot, simulate_motion
@@ -15,9 +15,9 @@ __all__ = [
     "ComposerTask",
     "Hold",
     "ModelRobot",
+    "ParameterRanges",
     "Prediction",
     "Random",
-    "Randomisation",
     "Replay",
     "Setup",
     "StiffWalk",

@@ -18,7 +18,7 @@ from op3.robot.surfaces import TILE_HEIGHT
 from op3.servo import RobotModel
 from op3.tasks.episodes import Episodes, World
 from op3.tasks.pushes import FIRST_PUSH, Push, Pushes
-from op3.tasks.randomisation import Randomisation as Ranges
+from op3.tasks.randomisation import ParameterRanges as Ranges
 from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 __all__ = ["Board", "Placement", "Pushing", "Randomisation", "Terrain"]

@@ -24,7 +24,7 @@ TABLE_I = (
 
 
 @settings("randomisation")
-class Randomisation:
+class ParameterRanges:
     """Where parameters are drawn from.
 
     Attributes:

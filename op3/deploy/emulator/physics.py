@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.robot import BoardMotion, Robot, WeightSchedule
 from op3.robot.scenes import Scene
-from op3.stand_in import StandIn, World
+from op3.stand_in import HiddenWorld, StandIn
 from op3.stand_in.sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -73,13 +73,13 @@ class StandInPhysics(StandIn):
 
     def __init__(
         self,
-        world: World | None = None,
+        world: HiddenWorld | None = None,
         scene: str | Scene = "floor",
         *,
         seed: int = 0,
         joint_position: ArrayLike | None = None,
     ):
-        super().__init__(world or World(), scene, seed=seed)
+        super().__init__(world or HiddenWorld(), scene, seed=seed)
         self.reset(self.rest if joint_position is None else joint_position)
         self._sensors = self.read_sensors()
 

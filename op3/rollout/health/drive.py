@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import CURRENT, WARNING, Finding, View, check
+from op3.rollout.health.finding import CURRENT, WARNING, LogFinding, View, check
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
@@ -18,7 +18,7 @@ _ZERO = 0.1
     "current against position error",
     unless=("two clocks", "position against command", "position without its command", "gains"),
 )
-def drive(view: View) -> Iterator[Finding]:
+def drive(view: View) -> Iterator[LogFinding]:
     """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
     error, rows = view.command - view.position, np.array(view.driven.all(1))
     rows &= np.arange(len(view.time)) % (1 + len(view.time) // 20_000) == 0  # so many tell

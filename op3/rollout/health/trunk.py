@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import detrend
 from scipy.spatial.transform import Rotation
 
-from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, Finding, View, check
+from op3.rollout.health.finding import ERROR, FORCE, ORIENTATION, RATE, WARNING, LogFinding, View, check
 from op3.rollout.health.match import WINDOW, integral, match, no_sensor, windows
 from op3.rollout.health.still import held, turned_by_gyroscope
 from op3.rollout.units import likely_unit
@@ -76,7 +76,7 @@ _READ: dict[str, Callable[[np.ndarray], Rotation]] = {
 
 
 @check("orientation")
-def orientation(view: View) -> Iterator[Finding]:
+def orientation(view: View) -> Iterator[LogFinding]:
     """Gyroscope and accelerometer agree, and the orientation with them only when it is read in another way."""
     angles, rate, force = (view.get(key) for key in (ORIENTATION, RATE, FORCE))
     if angles is None or rate is None or force is None or len(view.time) < 20:
@@ -107,7 +107,7 @@ def orientation(view: View) -> Iterator[Finding]:
 
 
 @check("gyroscope against orientation", unless=("orientation",))
-def gyroscope(view: View) -> Iterator[Finding]:
+def gyroscope(view: View) -> Iterator[LogFinding]:
     """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero; without an orientation,
     unit and sign are told by how the accelerometer tilts."""
     angles, rate, force = (view.get(key) for key in (ORIENTATION, RATE, FORCE))
@@ -168,7 +168,7 @@ def _unit_of_rates(unit: str | None) -> str:
     return f"{mends} for all axes that have it under `columns:` in the YAML, also those that hardly turned"
 
 
-def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterator[Finding]:
+def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterator[LogFinding]:
     """The gyroscope turns in another unit or sense than gravity does in the trunk."""
     first, last, span = windows(view.time)
     if len(first) < 8:
@@ -194,7 +194,7 @@ def _against_gravity(view: View, rate: np.ndarray, force: np.ndarray) -> Iterato
 
 
 @check("gravity", unless=("orientation",))
-def gravity(view: View) -> Iterator[Finding]:
+def gravity(view: View) -> Iterator[LogFinding]:
     """The accelerometer's size or direction is not that of gravity."""
     force, angles = view.get(FORCE), view.get(ORIENTATION)
     if force is None or not np.ptp(force, axis=0).any():
@@ -241,7 +241,7 @@ def gravity(view: View) -> Iterator[Finding]:
         yield from _leans(view, force, up)
 
 
-def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
+def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[LogFinding]:
     """An accelerometer that reads against the change of gravity in its axes, where the trunk leans to and fro."""
     if len(up) == 1 or np.ptp(view.time) < 10 * WINDOW:
         return
@@ -263,7 +263,7 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Iterator[Finding]:
 
 
 @check("mount", unless=("orientation",))
-def mount(view: View) -> Iterator[Finding]:
+def mount(view: View) -> Iterator[LogFinding]:
     """The trunk turns on a stand, or is as still as on one while the joints move and the robot stands on its feet."""
     angles, where = view.get(ORIENTATION), view.metadata.mount
     if angles is None or where == "pendulum" or len(view.time) < 20:
