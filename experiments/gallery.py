@@ -14,12 +14,14 @@ from PIL import Image
 
 from op3.diagnose import Diagnosis, diagnosed_mount, split_logs, suited
 from op3.envs import BatchedEnv, record_episodes
+from op3.motions import Motion, chirp, multisine, squat, staircase, triangle
 from op3.policy import PolicyBundle
 from op3.report.frames import draw_frames
 from op3.report.style import INK, PALETTE
 from op3.report.video import states_of_log
-from op3.robot import Motion, build_scene, chirp, multisine, pose, squat, staircase, triangle
+from op3.robot import pose
 from op3.rollout import Rollout, read_logs
+from op3.scenes import build_scene
 from op3.servo import RobotModel, Servos, law
 from op3.sim import load_model, model_for
 from op3.stand_in import HiddenWorld, StandIn, draw_case, make_case

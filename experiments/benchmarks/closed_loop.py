@@ -20,10 +20,12 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
+from op3.motions import Excitation, Motion, leg_suite
+from op3.motions.op3_suites import LEG_JOINTS
 from op3.replay.windows import WindowResiduals
-from op3.robot import DEFAULT, Excitation, Motion, build_scene, leg_suite, load_robot
-from op3.robot.op3_suites import LEG_JOINTS
+from op3.robot import DEFAULT, load_robot
 from op3.rollout import Rollout
+from op3.scenes import build_scene
 from op3.servo import RobotModel
 from op3.sim import load_model
 from op3.stand_in import cases as bench

@@ -19,7 +19,7 @@ from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, positive
 from op3.apps.job import configured, overrides_of
 from op3.apps.support import library_motion, output_folder, provenance, reported
-from op3.assets import named_configs
+from op3.common.assets import named_configs
 from op3.identify.design import PlannedRecording, check_choice, choose, information
 from op3.identify.identification import PREFIX
 from op3.identify.resolvers import chosen_model

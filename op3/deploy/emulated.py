@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.emulator import EmulatedRobot, Faults, LineTiming, Physics, SimPhysics, StandInPhysics
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
-from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, load_robot
-from op3.robot.scenes import check_scene
+from op3.robot import DEFAULT, Robot, load_robot
+from op3.scenes import BoardMotion, Waves, WeightSchedule, build_scene
+from op3.scenes.scene import check_scene
 from op3.sim import model_for
 from op3.stand_in import HiddenWorld
 from op3.tasks.events import Terrain, board_motion
@@ -32,7 +33,7 @@ class Place:
     """Where the robot is put down: a scene, or the ground of a task's episode.
 
     Attributes:
-        scene: a name that `op3.robot.build_scene` knows.
+        scene: a name that `op3.scenes.build_scene` knows.
         board: what moves the board once the policy begins; None for a scene without one.
         tiles: heights of the terrain's tiles [m]; None for a scene without them.
     """
@@ -148,7 +149,7 @@ def emulate(
         world: the stand-in's truth; see `op3.stand_in.HiddenWorld.find`. Ignored where a model is given.
         world_seed: which random world; None: as `seed`.
         model: name or file of a model, instead of a stand-in; "own" for that which its servos' makes give.
-        scene: where it is put down: a name that `op3.robot.build_scene` knows.
+        scene: where it is put down: a name that `op3.scenes.build_scene` knows.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
         joint_position: [joint] in rad at the start; None for home.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from op3.common.settings import Count, NotNegative, Positive, Whole, settings
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.registers import DYNAMIXEL_X, Units
 from op3.deploy.robot_state import RobotState
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD, LARGEST_OVERLAP_COMMANDED
-from op3.settings import Count, NotNegative, Positive, Whole, settings
 
 Array = NDArray[np.float64]
 HIGHEST = DYNAMIXEL_X["goal_current"].high or 0

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.limits import Command
 from op3.deploy.robot_state import RobotState
 from op3.deploy.ticker import PERIOD
+from op3.motions import Motion
+from op3.motions.motion import gain_rows, minimum_jerk, sample
+from op3.motions.motion_checks import check_motion
 from op3.policy.actions import D_GAIN, HELD_GAIN
-from op3.robot import Motion, load_robot
-from op3.robot.motion_checks import check_motion
-from op3.robot.motions import gain_rows, minimum_jerk, sample
+from op3.robot import load_robot
 
 Array = NDArray[np.float64]
 

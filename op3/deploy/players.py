@@ -15,8 +15,9 @@ from op3.deploy.limits import Limits
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.session import SessionOutcome
+from op3.motions import Motion
 from op3.policy import PolicyBundle
-from op3.robot import DEFAULT, Motion, Robot
+from op3.robot import DEFAULT, Robot
 from op3.rollout import Rollout
 from op3.tasks.task import Task, find_task
 

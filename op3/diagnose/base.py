@@ -26,8 +26,8 @@ from op3.diagnose.coordinates import (
     with_setups,
 )
 from op3.diagnose.judge import Judge, Numbers, Posterior, Variances
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Linear, Reduction
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.servo import Estimate, RobotModel, Stage
 from op3.servo.conditions import split_name
 

@@ -15,8 +15,8 @@ from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.doubts import AT_BOUND, doubts, freed, untold, unusual
 from op3.diagnose.findings import NamingStage, Search
 from op3.diagnose.held_out import Gain
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
 from op3.diagnose.unexplained import joint_gaps, lacking

@@ -12,8 +12,8 @@ import numpy as np
 from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, gap_of, settle
 from op3.diagnose.coordinates import CHAIN, Coordinate, Coordinates, own_spread
 from op3.diagnose.judge import Numbers, Posterior, evidence
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name
 

@@ -12,9 +12,9 @@ from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.doubts import at_bound, opened
 from op3.diagnose.held_out import Gain, HeldOut, HeldOutScore
 from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, Variances, log_mass
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.relevance import Relevance, relevance
-from op3.diagnose.settings import SETTINGS, Settings
 
 MOST = 3
 """Findings that are looked for, and places of which candidates are refitted."""

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 from scipy.stats import norm
 
-from op3.diagnose.settings import SETTINGS, Settings
+from op3.diagnose.judge_settings import SETTINGS, Settings
 
 GRID = np.exp(np.linspace(np.log(0.02), np.log(30.0), 30))
 """Standard deviations of a joint's noise that are tried [units]."""

@@ -8,9 +8,9 @@ import torch
 
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.sensitivity import Array, Box
-from op3.robot import Motion
+from op3.motions import Motion
+from op3.replay import Replay, simulate_motion
 from op3.servo import RobotModel
-from op3.tasks import Replay, simulate_motion
 
 NOISE: Mapping[tuple[str, str], float] = {
     ("imu", "orientation"): 0.01,

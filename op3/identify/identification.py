@@ -9,6 +9,7 @@ import optuna
 import torch
 from torch import Tensor
 
+from op3.common.settings import Count, Whole, settings
 from op3.identify.identifiability import Identifiability, identifiability
 from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
@@ -18,13 +19,12 @@ from op3.identify.refine import refine
 from op3.identify.sensitivity import Box, Residuals
 from op3.identify.study import TrialOutcome
 from op3.identify.surrogate import MOST_POINTS, explore
+from op3.replay import Prediction, Replay
+from op3.replay.setups import BENCH_CONTROL_PERIOD
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
-from op3.settings import Count, Whole, settings
 from op3.sim.model_file import model_hash
-from op3.tasks import Prediction, Replay
-from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
 PREFIX = "parameters."
 """Search-space keys are config keys below this one."""

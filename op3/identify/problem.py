@@ -9,9 +9,9 @@ from torch import Tensor
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.sensitivity import Box, Residuals
 from op3.identify.study import TrialOutcome
+from op3.replay import Prediction, Replay
 from op3.rollout import Rollout
 from op3.servo import RobotModel
-from op3.tasks import Prediction, Replay
 
 KEPT = 128
 """Evaluated parameter sets whose residuals are kept, the latest ones."""
@@ -22,7 +22,7 @@ class Problem:
 
     Args:
         model: effects that are on, and values of parameters that are not given.
-        replay: options of `op3.tasks.Replay`.
+        replay: options of `op3.replay.Replay`.
     """
 
     def __init__(self, model: RobotModel, logs: Sequence[Rollout], loss: TrajectoryLoss, **replay: Any):

@@ -8,14 +8,14 @@ import optuna
 import plotly.graph_objects as go
 
 from op3.identify.intervals import at_bound
-from op3.identify.reidentification import TOLERATED
-from op3.identify.reidentified import ParetoPoint, Reidentified
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import INK, MUTED, PALETTE, curves_figure, dress, faded, words
 from op3.report.tables import TableRows, place_in_range
 from op3.servo import RobotModel, parameter
+from op3.transfer.reidentification import TOLERATED
+from op3.transfer.reidentified import ParetoPoint, Reidentified
 
 FOUND = "re-identified"
 ACTUAL = "actual"

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from op3.assets import asset_path
+from op3.common.assets import asset_path
+from op3.common.settings import nearest
 from op3.robot.data_file import DataFile, DataFileError, Real, Record, among
-from op3.settings import nearest
 
 TO_SI: Mapping[str, tuple[str, Callable[[float], float]]] = {
     "rpm": ("rad/s", lambda value: value * 2 * pi / 60),

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from op3.common.settings import Listed, Named, Number, read_yaml, settings, shown
 from op3.rollout.errors import LogError, located, rename
 from op3.rollout.guess import guess, guess_all
 from op3.rollout.health.finding import WARNING, LogFinding
@@ -25,7 +26,6 @@ from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, column_names, key_name, place
 from op3.rollout.units import factor, likely_unit
 from op3.rollout.validate import check_time, holes
-from op3.settings import Listed, Named, Number, read_yaml, settings, shown
 
 SHARED = "columns.yaml"
 

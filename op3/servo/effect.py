@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, TypeVar, dataclass_transform, get_args, ge
 
 from torch import Tensor
 
-from op3.settings import nearest
+from op3.common.settings import nearest
 
 
 class Stage(IntEnum):

@@ -21,9 +21,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from op3.robot import DEFAULT, Excitation
-from op3.robot.scenes import Scene
+from op3.motions import Excitation
+from op3.robot import DEFAULT
 from op3.rollout import Rollout
+from op3.scenes.scene import Scene
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
 from op3.stand_in.play import play
 from op3.stand_in.stand_in_robot import StandIn

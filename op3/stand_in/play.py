@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import Excitation, Motion
-from op3.robot.motion_checks import check_targets
-from op3.robot.motions import gain_rows, sample
+from op3.motions import Excitation, Motion
+from op3.motions.motion import gain_rows, sample
+from op3.motions.motion_checks import check_targets
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
 

@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 from scipy.stats import bootstrap
 
-from op3.sample_intervals import wilson_interval
+from op3.common.sample_intervals import wilson_interval
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
 CONFIDENT = 0.8

@@ -14,11 +14,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import (
+from op3.motions import Motion
+from op3.robot import ServoMake
+from op3.rollout import Rollout
+from op3.scenes import (
     BoardDrive,
     BoardMotion,
-    Motion,
-    ServoMake,
     WeightDrive,
     WeightSchedule,
     board_drive,
@@ -26,8 +27,7 @@ from op3.robot import (
     place_tiles,
     tile_ids,
 )
-from op3.robot.scenes import Scene
-from op3.rollout import Rollout
+from op3.scenes.scene import Scene
 from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
 from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK
@@ -49,7 +49,7 @@ class StandIn:
 
     Args:
         world: the truth.
-        scene: a name from `op3.robot.SCENES`, or a scene.
+        scene: a name from `op3.scenes.SCENES`, or a scene.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
     """
@@ -192,7 +192,7 @@ class StandIn:
 
         Args:
             board: what moves the board of the scenes "board" and "board_weight"; None: nothing does.
-            tiles: heights of the tiles of the scene "terrain" [m], see `op3.robot.draw_tiles`; None: as they are.
+            tiles: heights of the tiles of the scene "terrain" [m], see `op3.scenes.draw_tiles`; None: as they are.
 
         Raises:
             ValueError: if the scene has no such board.

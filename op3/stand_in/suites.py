@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import (
+from op3.motions import (
     Excitation,
     Motion,
     SinusoidalGait,
-    build_bench,
-    build_scene,
     leg_suite,
     leg_walking,
-    load_robot,
     multisine,
     push_down,
     robot_suite,
@@ -27,8 +24,10 @@ from op3.robot import (
     squat,
     sway,
 )
-from op3.robot.op3_suites import ARM_JOINTS, KNEE, LEG_JOINTS
-from op3.robot.scenes import Scene
+from op3.motions.op3_suites import ARM_JOINTS, KNEE, LEG_JOINTS
+from op3.robot import load_robot
+from op3.scenes import build_bench, build_scene
+from op3.scenes.scene import Scene
 from op3.stand_in.play import FloorExcitation, TrunkPush
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from op3.common.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
 from op3.robot import named_configs
-from op3.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
 from op3.stand_in.hidden import Hidden
 
 _SPREAD = (

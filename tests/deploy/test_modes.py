@@ -21,7 +21,8 @@ from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction
 from op3.deploy.ticker import Ticker
-from op3.robot import Motion, pose, squat
+from op3.motions import Motion, squat
+from op3.robot import pose
 from op3.rollout import Rollout
 from tests.op3_table import JOINTS, OP3
 from tests.scripts import run_script

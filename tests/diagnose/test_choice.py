@@ -13,18 +13,18 @@ from op3.diagnose.doubts import doubts, freed, unusual
 from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge import Numbers, Posterior, Variances
+from op3.diagnose.judge_settings import Settings
 from op3.diagnose.reduction import Linear, Reduction
-from op3.diagnose.settings import Settings
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Alternative, Finding, JointGap, Verdict
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.replay.windows import WindowResiduals
-from op3.robot import leg_suite
 from op3.rollout import Rollout
 from op3.servo import Estimate
 from op3.servo.effects import LoadFriction
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 
 

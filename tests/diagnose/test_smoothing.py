@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from op3.motions import leg_suite
 from op3.replay.smoothing import VELOCITY_LAG, VELOCITY_NOISE, SmoothLog, smooth, smooth_all, velocity_sensing
 from op3.replay.supply import open_voltages
-from op3.robot import leg_suite
 from op3.robot.register_units import POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.rollout import Rollout
 from op3.stand_in import HiddenWorld, draw_case, record_case

@@ -10,9 +10,9 @@ from op3.diagnose import whole_runs
 from op3.diagnose.base import Baseline
 from op3.diagnose.coordinates import BENCH, CHAIN, Coordinates, base_coordinates, with_chain, with_setups
 from op3.diagnose.reduction import Linear
+from op3.replay import Replay
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
-from op3.tasks import Replay
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from op3.identify.design import PlannedRecording, choose, information, widths
-from op3.robot import chirp, hold, pose, triangle
+from op3.motions import chirp, hold, triangle
+from op3.robot import pose
 from op3.sim import load_model
 from tests.op3_table import CONTROLLED_JOINTS
 

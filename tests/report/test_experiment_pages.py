@@ -8,6 +8,7 @@ from report_logs import PageReader, bench_log, squat_log
 from op3.identify.design import PlannedRecording, Step
 from op3.identify.identifiability import Identifiability
 from op3.identify.identification import Fit, FitScore
+from op3.replay import Prediction
 from op3.report import RunFolder, read_result
 from op3.report.design_page import report_design
 from op3.report.evaluation_page import report_evaluation
@@ -15,7 +16,6 @@ from op3.report.identification_page import report_identification
 from op3.report.training_page import report_training
 from op3.robot import load_robot
 from op3.sim import load_model
-from op3.tasks import Prediction
 from op3.tasks.behaviour import GaitProfile
 
 NAMES = ("torque_constant", "backward_efficiency")

@@ -4,11 +4,11 @@ import optuna
 import pytest
 from optuna.distributions import FloatDistribution
 
-from op3.identify.reidentified import ParetoPoint, Reidentified
 from op3.report import RunFolder, read_result
 from op3.report.comparison_page import read_runs, write_comparison
 from op3.report.reidentification_page import report_reidentification
 from op3.sim import load_model
+from op3.transfer.reidentified import ParetoPoint, Reidentified
 
 NAME = "torque_constant"
 SPACE = {f"parameters.{NAME}": FloatDistribution(0.003, 0.009)}

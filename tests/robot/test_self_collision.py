@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from op3.deploy.emulator import Physics, SimPhysics, StandInPhysics
-from op3.robot import build_scene, load_robot, pose
+from op3.robot import load_robot, pose
+from op3.scenes import build_scene
 from op3.sim import load_model
 from op3.stand_in import HiddenWorld
 from tests.op3_table import JOINTS, OP3

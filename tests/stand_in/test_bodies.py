@@ -5,7 +5,9 @@ import numpy as np
 import pinocchio
 import pytest
 
-from op3.robot import build_bench, build_scene, pose, robot_suite
+from op3.motions import robot_suite
+from op3.robot import pose
+from op3.scenes import build_bench, build_scene
 from op3.stand_in import HiddenWorld, StandIn
 from op3.stand_in.bodies import Floor, limb_model
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from op3.robot import Tilts, WeightSchedule, build_scene, draw_tiles, pose
+from op3.robot import pose
+from op3.scenes import Tilts, WeightSchedule, build_scene, draw_tiles
 from op3.stand_in import HiddenWorld, StandIn
 
 

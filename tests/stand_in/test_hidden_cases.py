@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import robot_suite
+from op3.motions import robot_suite
 from op3.rollout import Rollout, read_logs
 from op3.stand_in import (
     CATALOGUE,
@@ -161,7 +161,7 @@ def test_every_setting_is_recorded():
 @pytest.fixture
 def short(monkeypatch):
     """Of the leg: steps, holds, and a warm multisine, most of a second each."""
-    from op3.robot import leg_suite
+    from op3.motions import leg_suite
 
     with_suite(monkeypatch, "leg", [leg_suite(3, duration=0.8)[i] for i in (7, 10, 22)])
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import Motion, build_bench, hold, pose, squat
-from op3.robot.motions import sample
+from op3.motions import Motion, hold, squat
+from op3.motions.motion import sample
+from op3.robot import pose
 from op3.rollout import Rollout
+from op3.scenes import build_bench
 from op3.stand_in import HiddenWorld, StandIn
 from op3.stand_in.play import TrunkPush, play
 from tests.op3_table import CONTROLLED_JOINTS, indices

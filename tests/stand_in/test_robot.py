@@ -4,7 +4,8 @@ import numpy as np
 import pinocchio
 import pytest
 
-from op3.robot import build_bench, build_scene, pose, squat
+from op3.motions import squat
+from op3.robot import pose
 from op3.robot.register_units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
@@ -14,6 +15,7 @@ from op3.robot.register_units import (
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
 )
+from op3.scenes import build_bench, build_scene
 from op3.stand_in import HiddenWorld, StandIn
 from tests.op3_table import JOINTS
 

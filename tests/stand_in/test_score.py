@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.sample_intervals import wilson_interval
+from op3.common.sample_intervals import wilson_interval
 from op3.stand_in.score import (
     MISSING,
     NOTHING,

@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.robot import squat
+from op3.motions import squat
 from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, HiddenWorld, StandIn, world_names
 from op3.stand_in.world import FORMS, read_ranges
 

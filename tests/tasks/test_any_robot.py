@@ -10,11 +10,13 @@ import yaml
 from op3.identify.design import information
 from op3.identify.identification import Identification
 from op3.identify.prediction_score import predict_logs
-from op3.robot import build_scene, check_motion, load_robot, multisine
+from op3.motions import check_motion, multisine
+from op3.replay import ModelRobot
+from op3.robot import load_robot
 from op3.rollout import Rollout, read_log
+from op3.scenes import build_scene
 from op3.sim import servo_model
 from op3.stand_in import HiddenWorld, StandIn
-from op3.tasks import ModelRobot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))
 from robots import ROBOTS, write_robot

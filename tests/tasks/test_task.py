@@ -8,10 +8,11 @@ import pytest
 
 from op3.envs import make_env
 from op3.policy import PolicyBundle
+from op3.replay import Setup
 from op3.robot import asset_path, named_configs, pose
 from op3.servo import Estimate
 from op3.sim import load_model
-from op3.tasks import ParameterRanges, Setup, find_task, task_names
+from op3.tasks import ParameterRanges, find_task, task_names
 
 
 @pytest.mark.parametrize("name", task_names())

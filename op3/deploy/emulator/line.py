@@ -12,9 +12,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from op3.common.settings import NotNegative, Number, settings
 from op3.deploy.emulator.faults import Faults
 from op3.deploy.protocol import Packet, Parser
-from op3.settings import NotNegative, Number, settings
 
 
 @settings("timing")

@@ -16,10 +16,10 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from op3.common.settings import Number, settings
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import LogFinding
 from op3.rollout.rollout import Rollout
-from op3.settings import Number, settings
 
 
 @settings("the entry")

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from op3.deploy.emulator import SimPhysics, StandInPhysics
-from op3.robot import build_scene, pose
+from op3.robot import pose
+from op3.scenes import build_scene
 from op3.sim import BatchSimulation, attach_servos, load_model
 from op3.stand_in import HiddenWorld, StandIn
 from tests.op3_table import JOINTS
