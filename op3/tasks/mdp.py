@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.common.settings import nearest
 from op3.policy import ActionMap
 from op3.policy.observations import Sensed
 from op3.policy.terms import Term
-from op3.robot import Robot, Scene
+from op3.robot import Robot
 from op3.robot.register_units import ANGLE_UNIT, GYRO_UNIT
+from op3.scenes import Scene
 from op3.servo import RobotModel
-from op3.settings import nearest
 from op3.tasks import commands, events, privileged, rewards, successes, terminations
 from op3.tasks.episodes import Array, Episodes, World
 from op3.tasks.snapshot import Snapshot

@@ -10,16 +10,16 @@ from typing import Annotated, Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
-from op3.assets import named_configs
+from op3.common.assets import named_configs
+from op3.common.settings import Named, Number, Positive, Text, Whole, nearest, settings
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
 from op3.policy.mirror import Mirror
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
 from op3.policy.terms import FUNCTION, Term, find
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.robot import Robot, load_robot
-from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 TICKS = 4
 """Ticks of the PD control per policy step: 125 Hz and 31.25 Hz (paper)."""
@@ -55,7 +55,7 @@ class Task:
     Attributes:
         name: of the task.
         robot: name or path of the file of the robot.
-        scene: name for `op3.robot.build_scene`.
+        scene: name for `op3.scenes.build_scene`.
         duration: time limit of an episode [s].
         history: number of earlier observations that the policy sees besides the latest.
         gait: clock of a gait; None for a task without one.

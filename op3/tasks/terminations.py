@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from op3.common.settings import GAIN_HIGH
 from op3.policy.actions import ActionMap
 from op3.robot import Robot
 from op3.robot.kinematics import home_height
 from op3.robot.self_collision import LARGEST_OVERLAP_AHEAD, SelfCollision
-from op3.settings import GAIN_HIGH
 
 if TYPE_CHECKING:
     from op3.tasks.state import State

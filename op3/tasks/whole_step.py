@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import Scene
 from op3.robot.register_units import GRAVITY
+from op3.scenes import Scene
 from op3.tasks.addresses import Addresses
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
+from op3.common.settings import Count, Number, Positive, Some, settings
 from op3.policy import Manifest, PolicyBundle
 from op3.policy.mirror import Mirror
-from op3.settings import Count, Number, Positive, Some, settings
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork
 
 NORMALISED = "normalised"

@@ -10,8 +10,8 @@ from torchrl.envs.transforms import MultiStepTransform, Transform
 from torchrl.modules import ValueOperator
 from torchrl.objectives import LossModule, SoftUpdate
 
+from op3.common.settings import Count, NotNegative, Number, Positive, Share, Whole, settings
 from op3.policy.mirror import Mirror
-from op3.settings import Count, NotNegative, Number, Positive, Share, Whole, settings
 from op3.train.algorithm import NORMALISED, Algorithm, AlgorithmSettings, Measures
 from op3.train.networks import QNetwork, bfloat16_is_faster
 

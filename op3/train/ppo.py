@@ -8,7 +8,7 @@ from torchrl.modules import MLP, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from op3.settings import Count, NotNegative, Positive, Share, settings
+from op3.common.settings import Count, NotNegative, Positive, Share, settings
 from op3.train.algorithm import NORMALISED, Algorithm, AlgorithmSettings, Explorer, Measures
 
 KEPT = (NORMALISED, "action", "action_log_prob", "advantage", "value_target")

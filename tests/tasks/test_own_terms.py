@@ -9,7 +9,7 @@ import pytest
 import torch
 from torchrl.envs import check_env_specs
 
-from op3.assets import asset_path
+from op3.common.assets import asset_path
 from op3.envs import make_env
 from op3.envs.record import record_episodes
 from op3.policy import PolicyBundle
