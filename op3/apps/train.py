@@ -37,8 +37,7 @@ from op3.robot import load_robot
 from op3.sim import model_for
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
-from op3.train import Algorithm, Practice, TrainSettings
-from op3.train import greedy_episodes as evaluate
+from op3.train import Algorithm, Practice, TrainSettings, evaluate
 from op3.train import train as run_training
 from op3.train.checkpoint import load_checkpoint
 from op3.train.training import CHECKPOINT, check_unused
