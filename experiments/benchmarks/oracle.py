@@ -17,12 +17,12 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, show, split_logs
-from op3.diagnose.findings import Proposal, Search, Stage
+from op3.diagnose.findings import NamingStage, Proposal, Search
 from op3.rollout import read_logs
 from op3.sim import load_model
 
 
-def told(search: Search, stage: Stage, effect: str, joints: Sequence[str] | None) -> Stage:
+def told(search: Search, stage: NamingStage, effect: str, joints: Sequence[str] | None) -> NamingStage:
     """The stage with an effect that is known to be there; as it is where the catalogue lacks it."""
     names = search.reduction.engine.joints
     place = effect, None if joints is None else tuple(sorted(names.index(joint) for joint in joints))

@@ -23,7 +23,8 @@ from op3.apps.fields import plain, whole
 from op3.apps.job import configured, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder, provenance, reported, run_folder
-from op3.assets import here_or_shipped
+from op3.common.assets import here_or_shipped
+from op3.common.sample_intervals import mean_interval, wilson_interval
 from op3.compliance.robustness import Variation, make_card
 from op3.envs import BatchedEnv
 from op3.envs.actors import Watched, find_actor
@@ -34,7 +35,6 @@ from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.sample_intervals import mean_interval, wilson_interval
 from op3.sim import model_for
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, succeeded

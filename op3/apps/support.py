@@ -14,13 +14,14 @@ from omegaconf import DictConfig
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain
 from op3.apps.job import command_of_run, composed, override
-from op3.assets import find_model, named_configs
-from op3.private import scrub
-from op3.robot import DEFAULT, Motion
+from op3.common.assets import find_model, named_configs
+from op3.common.private import scrub
+from op3.common.settings import nearest
+from op3.common.wandb_settings import WandbSettings
+from op3.motions import Motion
+from op3.robot import DEFAULT
 from op3.rollout import Metadata, Rollout
 from op3.rollout.files import write_text
-from op3.settings import nearest
-from op3.wandb_settings import WandbSettings
 
 if TYPE_CHECKING:
     from op3.report import RunFolder

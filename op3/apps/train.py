@@ -25,11 +25,11 @@ from op3.apps.fields import plain, whole
 from op3.apps.job import configured, overrides_of
 from op3.apps.sentences import no_such
 from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported, wandb_of
-from op3.assets import named_configs
+from op3.common.assets import named_configs
+from op3.common.private import CLAIMED
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
-from op3.private import CLAIMED
 from op3.report import RunFolder, RunLogger
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
@@ -37,7 +37,8 @@ from op3.robot import load_robot
 from op3.sim import model_for
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
-from op3.train import Algorithm, Practice, TrainSettings, evaluate
+from op3.train import Algorithm, Practice, TrainSettings
+from op3.train import greedy_episodes as evaluate
 from op3.train import train as run_training
 from op3.train.checkpoint import load_checkpoint
 from op3.train.training import CHECKPOINT, check_unused

@@ -8,11 +8,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from op3.replay.setups import OP3_CONTROL_PERIOD, Setup
 from op3.robot import Robot
 from op3.robot.register_units import POSITION_UNIT
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation
-from op3.tasks.setups import OP3_CONTROL_PERIOD, Setup
 
 Array = NDArray[np.float64]
 

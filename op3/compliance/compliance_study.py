@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from op3.common.settings import Count, Positive, settings
 from op3.compliance.backdrive import BackDrive, back_drive
 from op3.compliance.energy import Energy, measure_energy
 from op3.compliance.gains import TICK, Gains, measure_gains
@@ -18,14 +19,14 @@ from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
-from op3.envs.step_traces import SKIPPED, Traces, Watch
-from op3.robot import SinusoidalGait, load_robot
+from op3.envs.step_traces import SKIPPED, StepWatch, Traces
+from op3.motions import SinusoidalGait
+from op3.replay.setups import OP3_CONTROL_PERIOD
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
-from op3.settings import Count, Positive, settings
 from op3.tasks.baselines import StiffWalk, position_mode
 from op3.tasks.evaluation import succeeded
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import Task, find_task
 
 Array = NDArray[np.float64]
@@ -192,7 +193,7 @@ class Study:
     def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
         """Episodes on the first ground, seen every millisecond: logs, landings, traces, and the robot's mass [kg]."""
         env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
-        watch = Watch(env)
+        watch = StepWatch(env)
         with watch.watching():
             logs = record_episodes(env, actor.policy)
         traces = watch.traces()

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.sample_intervals import with_interval
 from op3.compliance.energy import torque_per_current
 from op3.envs.step_traces import SKIPPED, TOUCHED, Traces, touchdowns
 from op3.policy.observation import layout_slices
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.sample_intervals import with_interval
 from op3.servo import RobotModel
 from op3.tasks.behaviour import foot_of, in_stance
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import TICKS, Task
 
 Array = NDArray[np.float64]

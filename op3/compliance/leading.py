@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.sample_intervals import with_interval
 from op3.envs.actors import Actor
-from op3.sample_intervals import with_interval
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.servo import RobotModel
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import TICKS, Task, find_task
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from op3.envs.composed import ComposerEnv
 from op3.robot import load_robot
 from op3.servo import RobotModel
 from op3.sim import model_for
-from op3.tasks.randomisation import Randomisation
+from op3.tasks.randomisation import ParameterRanges
 from op3.tasks.task import Task, find_task
 
 BACKENDS = ("batched", "composer")
@@ -23,7 +23,7 @@ def make_env(
     num_envs: int | None = None,
     seed: int = 0,
     backend: str = "batched",
-    randomisation: str | Randomisation | None = None,
+    randomisation: str | ParameterRanges | None = None,
     **options: Any,
 ) -> EnvBase:
     """An environment with the keys observation, action, reward, reward_terms, done, terminated and truncated.
@@ -46,7 +46,7 @@ def make_env(
         if "current_pd" not in model.effect_names and task.action_map().gain_low is not None:
             raise ValueError(f"model={name}: its servos take no gains, which a task commands; choose one such as paper")
     if isinstance(randomisation, str):
-        randomisation = Randomisation(randomisation)  # type: ignore[arg-type]
+        randomisation = ParameterRanges(randomisation)  # type: ignore[arg-type]
     if randomisation is not None:
         task = task.changed({"events.randomisation": {"source": randomisation.source, "names": randomisation.names}})
     kinds = {"batched": BatchedEnv, "composer": ComposerEnv}

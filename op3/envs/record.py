@@ -8,9 +8,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from op3.envs.batched import BatchedEnv
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.rollout import Metadata, Rollout
 from op3.sim import model_hash
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import TICKS
 

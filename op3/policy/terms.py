@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
 
-from op3.settings import nearest
+from op3.common.settings import nearest
 
 FUNCTION = "function"
 """Field of a term's configuration that names its function or class; without it the term's own name does."""

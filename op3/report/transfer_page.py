@@ -9,13 +9,13 @@ import numpy as np
 import plotly.graph_objects as go
 from scipy.special import stdtrit
 
+from op3.common.sample_intervals import wilson_interval
+from op3.replay import Prediction
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import Curves, bars_figure, boxes_figure, curves_figure
 from op3.report.tables import TableRows
 from op3.report.trace_figures import traces_figure
-from op3.sample_intervals import wilson_interval
-from op3.tasks import Prediction
 
 WALKERS = 0.8
 """Share of episodes that must walk for their whole time; paper, 8 of 10."""

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from op3.common.sample_intervals import wilson_interval
 from op3.report.page import Page
 from op3.report.provenance import run_provenance
 from op3.report.result import read_result, write_result
 from op3.report.style import NAMES, boxes_figure, words
-from op3.sample_intervals import wilson_interval
 
 FAILED = "failed.txt"
 """File in the folder of a cell that could not be run: why."""

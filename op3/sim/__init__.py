@@ -1,6 +1,6 @@
 """Robots stepped at 1 ms with the servo law between steps, many at once or one inside a composer task."""
 
-from op3.assets import find_model, model_names
+from op3.common.assets import find_model, model_names
 from op3.sim.batch_simulation import BatchSimulation
 from op3.sim.geared_servo import GearedServo
 from op3.sim.model_file import load_model, model_hash, save_model

@@ -9,12 +9,13 @@ from dm_control.composer.observation import observable
 from dm_env import specs
 
 from op3.policy import ActionMap
-from op3.robot import build_scene, load_robot, tile_ids
+from op3.replay.setups import OP3_CONTROL_PERIOD
+from op3.robot import load_robot
+from op3.scenes import build_scene, tile_ids
 from op3.servo import RobotModel
 from op3.sim import GearedServo
 from op3.tasks.episodes import World, episode_seed
 from op3.tasks.mdp import Mdp, Outcome
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
 from op3.tasks.whole_step import WholeStep

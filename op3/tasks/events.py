@@ -13,13 +13,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import Robot, Scene, Tilts, Waves, WeightSchedule, board_drive, draw_tiles, place_tiles, stack, tile_ids
-from op3.robot.surfaces import TILE_HEIGHT
+from op3.replay.setups import OP3_CONTROL_PERIOD
+from op3.robot import Robot
+from op3.scenes import Scene, Tilts, Waves, WeightSchedule, board_drive, draw_tiles, place_tiles, stack, tile_ids
+from op3.scenes.surfaces import TILE_HEIGHT
 from op3.servo import RobotModel
 from op3.tasks.episodes import Episodes, World
 from op3.tasks.pushes import FIRST_PUSH, Push, Pushes
-from op3.tasks.randomisation import Randomisation as Ranges
-from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.randomisation import ParameterRanges as Ranges
 
 __all__ = ["Board", "Placement", "Pushing", "Randomisation", "Terrain"]
 

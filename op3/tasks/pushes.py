@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.replay.setups import OP3_CONTROL_PERIOD
 
 Array = NDArray[np.float64]
 

@@ -11,16 +11,16 @@ from typing import Annotated, Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
-from op3.assets import named_configs
+from op3.common.assets import named_configs
+from op3.common.settings import Named, Number, Positive, Text, Whole, nearest, settings
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
 from op3.policy.mirror import Mirror
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
-from op3.policy.terms import Term
+from op3.policy.terms import FUNCTION, Term, find
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.robot import Robot, load_robot
-from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 TICKS = 4
 """Ticks of the PD control per policy step: 125 Hz and 31.25 Hz (paper)."""
@@ -56,7 +56,7 @@ class Task:
     Attributes:
         name: of the task.
         robot: name or path of the file of the robot.
-        scene: name for `op3.robot.build_scene`.
+        scene: name for `op3.scenes.build_scene`.
         duration: time limit of an episode [s].
         history: number of earlier observations that the policy sees besides the latest.
         gait: clock of a gait; None for a task without one.
@@ -69,6 +69,7 @@ class Task:
         success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
+        privileged: terms of `op3.tasks.privileged`, which critics see beside the observations.
         curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
             straight lines between; in training alone.
         whole_step: whether currents and motion of the body enter rewards as means over the policy step, or as they are
@@ -89,6 +90,7 @@ class Task:
     success: Terms = field(default_factory=dict)
     events: Terms = field(default_factory=dict)
     commands: Terms = field(default_factory=dict)
+    privileged: Terms = field(default_factory=dict)
     curricula: Named[Any] = field(default_factory=dict)
     whole_step: bool = True
 
@@ -154,7 +156,20 @@ class Task:
         robot = load_robot(self.robot)
         images = {name: getattr(term.target, "mirror", None) for name, term in self._commands(robot).items()}
         example = self.example(robot, action_map.size)
-        return Mirror(self.observer(action_map.size), example, action_map, images)
+        return Mirror(self.observer(action_map.size), example, action_map, images, self.privileged_signs)
+
+    @property
+    def privileged_signs(self) -> tuple[float, ...]:
+        """Of the image of each number that critics alone see, in the robot's plane of symmetry."""
+        from op3.tasks import privileged
+
+        signs: list[float] = []
+        for name, spec in self.terms("privileged").items():
+            term = find(spec.get(FUNCTION, name), privileged, f"privileged.{name}")
+            if not hasattr(term, "mirror"):
+                raise ValueError(f"privileged.{name}: give the function mirror = (<a sign for each of its numbers>)")
+            signs += term.mirror
+        return tuple(signs)
 
     def _commands(self, robot: Robot) -> dict[str, Term]:
         """The terms of the commands, for one robot."""

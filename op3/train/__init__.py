@@ -10,7 +10,7 @@ logging.getLogger("torchrl").setLevel(logging.WARNING)  # and says whenever it m
 
 # isort: split
 from op3.train.algorithm import Algorithm, AlgorithmSettings, Explorer
-from op3.train.evaluate import evaluate
+from op3.train.greedy_episodes import evaluate
 from op3.train.off_policy import Mirrored, OffPolicy, OffPolicySettings
 from op3.train.ppo import PPO, PPOSettings
 from op3.train.practice import Practice

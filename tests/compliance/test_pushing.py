@@ -6,9 +6,9 @@ import pytest
 from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs import make_env
 from op3.envs.actors import find_actor
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.tasks import find_task
 from op3.tasks.pushes import DIRECTIONS, Push
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 
 def test_area_under_the_survival():

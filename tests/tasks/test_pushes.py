@@ -5,11 +5,11 @@ import numpy as np
 import torch
 
 from op3.envs import BatchedEnv, make_env
+from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.tasks import find_task
 from op3.tasks.episodes import Episodes
 from op3.tasks.events import Pushing
 from op3.tasks.pushes import DIRECTIONS, FIRST_PUSH, PUSH_DURATION, Push
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 
 def momentum(env: BatchedEnv, robot: int) -> np.ndarray:
