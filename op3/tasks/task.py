@@ -12,20 +12,19 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
 from op3.common.assets import named_configs
-from op3.common.settings import Named, Number, Positive, Text, Whole, nearest, settings
+from op3.common.settings import CONTROL_PERIOD, Named, Number, Positive, Text, Whole, nearest, settings
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
 from op3.policy.mirror import Mirror
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
 from op3.policy.terms import FUNCTION, Term, find
-from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.robot import Robot, load_robot
 
 TICKS = 4
 """Ticks of the PD control per policy step: 125 Hz and 31.25 Hz (paper)."""
 
-POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
+POLICY_PERIOD = TICKS * CONTROL_PERIOD
 """Time between policy steps [s]."""
 
 Terms = Named[Any]
@@ -100,7 +99,10 @@ class Task:
 
     def terms(self, kind: str) -> dict[str, dict[str, Any]]:
         """Terms of a kind that are on, by name."""
-        return {name: dict(spec or {}) for name, spec in getattr(self, kind).items() if spec is not None}
+        specs = {name: spec for name, spec in getattr(self, kind).items() if spec is not None}
+        if bad := [name for name, spec in specs.items() if not isinstance(spec, Mapping)]:
+            raise ValueError(f"{kind}.{bad[0]} must be a mapping of fields, or null, got {specs[bad[0]]!r}")
+        return {name: dict(spec) for name, spec in specs.items()}
 
     @property
     def schedules(self) -> dict[str, Any]:
@@ -202,7 +204,7 @@ class Task:
             raise ValueError(f"{name} was trained for the robot {made}, the task's is {here.name}; add robot={made}")
         layout = self.observer(manifest.action_map.size).layout
         try:
-            manifest.check_fits(layout, self.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
+            manifest.check_fits(layout, self.history, 1 / CONTROL_PERIOD, 1 / POLICY_PERIOD)
         except ValueError as error:
             raise ValueError(f"{name} does not fit task {self.name}: {error}") from None
 
