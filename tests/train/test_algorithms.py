@@ -18,8 +18,7 @@ from torchrl.objectives import REDQLoss, SACLoss
 from train_pendulum import LIMIT, MANIFEST, Pendulum
 
 from op3.policy import PolicyBundle, Training
-from op3.train import PPO, SAC, TD3, Algorithm, Mirrored, OffPolicy, SACSettings
-from op3.train import greedy_episodes as evaluate
+from op3.train import PPO, SAC, TD3, Algorithm, Mirrored, OffPolicy, SACSettings, evaluate
 from op3.train.networks import Ensemble, Normaliser, PolicyNetwork, QNetwork
 
 SMALL = {"hidden": (16, 16), "batch": 32, "warmup": 0, "buffer": 1000}
