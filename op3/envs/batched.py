@@ -10,9 +10,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
-from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.robot import load_robot
 from op3.scenes import build_scene, tile_ids
 from op3.servo import RobotModel
@@ -99,7 +99,7 @@ class BatchedEnv(EnvBase):
             self.scene.joint_names,
             self.model,
             self._num_envs,
-            control_period=OP3_CONTROL_PERIOD,
+            control_period=CONTROL_PERIOD,
             base_body=None if robot.robot.file.base is None else robot.trunk.full_identifier,
             num_threads=self._num_threads,
         )
@@ -197,7 +197,7 @@ class BatchedEnv(EnvBase):
         time = self.mdp.time.numpy()
         self._whole_step.begin(self._sites)
         for tick in range(TICKS):
-            now = time + tick * OP3_CONTROL_PERIOD
+            now = time + tick * CONTROL_PERIOD
             if self.commander is not None:
                 self.simulation.command(**self.commander.commands(torch.from_numpy(now)))
             if self.on_tick is not None:
