@@ -82,7 +82,7 @@ def hidden(name: str, size: float, where: str) -> Fault:
 def shared(name: str, base: str, **values: float) -> Fault:
     """One effect of all joints that the given model lacks and the world has."""
 
-    def of(world: World, _: dict[str, Any]) -> tuple[str, World, tuple[Hidden, ...]]:
+    def of(world: HiddenWorld, _: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
         return base, world.replace(**values), (Hidden(name, next(iter(values.values()))),)
 
     return of

@@ -383,10 +383,10 @@ def settle(
         done = number == steps or (fresh and gained < SETTLED)
         if done:
             linear = reduction.linearise(coordinates, point, like, linear or like)
-        elif fresh := (linear is None or gained < SETTLED):
-            linear = reduction.linearise(coordinates, point, like or linear, like)
+        elif linear is None or gained < SETTLED:
+            linear, fresh = reduction.linearise(coordinates, point, like or linear, like), True
         else:
-            linear = reduction.corrected(linear, point)
+            linear, fresh = reduction.corrected(linear, point), False
         judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
         fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
         state = fit.state
