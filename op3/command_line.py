@@ -155,7 +155,7 @@ def choices_of_resumed(words: Sequence[str]) -> list[str]:
     file = Path(given.get("resume", "").strip("'\"")) / ".hydra" / "hydra.yaml"
     if "resume" not in given or not file.is_file():
         return []
-    chosen = re.findall(r"^      (task|algorithm|recipe|budget): (\w+)$", file.read_text("utf-8"), re.MULTILINE)
+    chosen = re.findall(r"^      (task|algorithm|recipe|budget): '?(\w+)'?$", file.read_text("utf-8"), re.MULTILINE)
     return [f"{name}={value}" for name, value in chosen if name not in given]
 
 
