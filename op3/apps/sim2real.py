@@ -31,7 +31,7 @@ from op3.apps.train import train
 from op3.policy import PolicyBundle
 from op3.replay import Prediction, Replay
 from op3.report import RunFolder, read_result
-from op3.report.transfer_page import Learned, Transfer, report_transfers
+from op3.report.transfer_page import report_transfers
 from op3.report.video import film, states_of_log
 from op3.rollout import Rollout, read_logs
 from op3.scenes import build_scene
@@ -39,6 +39,7 @@ from op3.sim import load_model, model_hash
 from op3.stand_in import HiddenWorld
 from op3.tasks.evaluation import evaluation_return, stood, succeeded
 from op3.tasks.task import find_task
+from op3.transfer.attempt import Learned, Transfer
 from op3.transfer.failed_episodes import ended_by, that_count
 
 JUDGED = {"balance": "balance_eval", "walk": "walk"}

@@ -70,3 +70,12 @@ def bootstrap_interval(
         rng=seed,
     )
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
+
+
+def mean_and_deviation(values: Sequence[float | None]) -> dict[str, float | int | None] | None:
+    """Mean and standard deviation; None where no run has the number, no deviation of a single one."""
+    known = [float(value) for value in values if value is not None]
+    if not known:
+        return None
+    deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
+    return {"value": float(np.mean(known)), "deviation": deviation, "count": len(known)}

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from op3.common.sample_intervals import wilson_interval
 from op3.common.settings import CONTROL_PERIOD, Count, Positive, settings
 from op3.compliance.backdrive import BackDrive, back_drive
 from op3.compliance.energy import Energy, measure_energy
@@ -74,6 +75,11 @@ class Passed:
     successes: int
     episodes: int
     speed: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the share of successes."""
+        return wilson_interval(self.successes, self.episodes)
 
 
 @dataclass(frozen=True, eq=False)

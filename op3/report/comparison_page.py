@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
 import yaml
 
+from op3.common.sample_intervals import mean_and_deviation
 from op3.report.page import Page
 from op3.report.result import read_result, write_result
 from op3.report.style import NAMES, bars_figure, curves_figure, words
@@ -84,15 +84,6 @@ def quantities(runs: Sequence[ComparedRun]) -> dict[str, str]:
     return known if set(known) - {"wall_seconds"} else {key: words(key.replace(".", " ")) for key in list(has)[:MOST]}
 
 
-def spread(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Mean and standard deviation; None where no run has the number, no deviation of a single one."""
-    known = [float(value) for value in values if value is not None]
-    if not known:
-        return None
-    deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
-    return {"value": float(np.mean(known)), "deviation": deviation, "count": len(known)}
-
-
 def write_comparison(runs: Sequence[ComparedRun], folder: str | Path) -> tuple[Path, Path]:
     """Write page and numbers of a comparison of at least one run into a folder; returns their paths.
 
@@ -115,8 +106,11 @@ def _entry(name: str, members: Sequence[ComparedRun], columns: Mapping[str, str]
     return {
         "variant": name,
         "runs": [run.name for run in members],
-        **{key: spread([run.numbers.get(key) for run in members]) for key in columns},
-        **{key: spread([_value(run.numbers[key]) for run in members if key in run.numbers]) for key in parameters},
+        **{key: mean_and_deviation([run.numbers.get(key) for run in members]) for key in columns},
+        **{
+            key: mean_and_deviation([_value(run.numbers[key]) for run in members if key in run.numbers])
+            for key in parameters
+        },
     }
 
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from op3.common.sample_intervals import wilson_interval
 from op3.compliance.compare import Difference
 from op3.compliance.compliance_study import Measured
 from op3.compliance.energy import Energy
@@ -98,7 +97,7 @@ def _tables(
 
 
 def _walk(passed: Any) -> tuple[str, str, float]:
-    low, high = wilson_interval(passed.successes, passed.episodes)
+    low, high = passed.interval
     return f"{passed.successes} of {passed.episodes}", f"{low:.2f} to {high:.2f}", round(passed.speed, 3)
 
 
@@ -175,7 +174,7 @@ def _walk_numbers(each: Measured) -> dict[str, Any]:
     return {
         ground: {
             "success": passed.successes / passed.episodes,
-            "success_interval": list(wilson_interval(passed.successes, passed.episodes)),
+            "success_interval": list(passed.interval),
             "episodes": passed.episodes,
             "speed": passed.speed,
         }

@@ -238,9 +238,17 @@ def overload(state: State, robot: Robot) -> Tensor:
     return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
 
 
-def speed_bonus(state: State, velocity: float = 0.3) -> Tensor:
-    """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward."""
-    return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
+def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) -> Tensor:
+    """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward.
+
+    Args:
+        velocity: desired, forwards in the world [m/s].
+        name: of a command whose direction and speed are desired instead.
+    """
+    if name is None:
+        return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
+    along, speed = state.along(name)
+    return along.clamp(-speed, speed)
 
 
 class TrackVelocity:

@@ -35,12 +35,15 @@ class Lag:
     Stepping in place earns the upright reward, and no slope leads on from there; a learner's episodes end there.
 
     Args:
-        velocity: desired forward speed [m/s].
         distance: largest [m].
+        velocity: desired forward speed [m/s].
+        name: of a command whose direction and speed are desired instead; at its zero nothing is behind.
     """
 
-    def __init__(self, num_envs: int, policy_period: float, velocity: float, distance: float):
-        self.velocity, self.distance = velocity, distance
+    def __init__(
+        self, num_envs: int, policy_period: float, distance: float, velocity: float = 0.3, name: str | None = None
+    ):
+        self.velocity, self.distance, self.name = velocity, distance, name
         self._period, self._behind = policy_period, torch.zeros(num_envs, dtype=torch.float64)
 
     def begin(self, rows: Tensor) -> None:
@@ -49,7 +52,12 @@ class Lag:
 
     def __call__(self, state: State) -> Tensor:
         """Whether each robot is too far behind, ``[env]``."""
-        shortfall = (self.velocity - state.base_velocity[:, 0]) * (1.0 if self.velocity >= 0 else -1.0)
+        if self.name is None:
+            shortfall = (self.velocity - state.base_velocity[:, 0]) * (1.0 if self.velocity >= 0 else -1.0)
+        else:
+            along, speed = state.along(self.name)
+            shortfall = speed - along
+            self._behind = torch.where(speed > 0.0, self._behind, 0.0)
         self._behind = (self._behind + self._period * shortfall).clamp(min=0.0)
         return self._behind > self.distance
 
