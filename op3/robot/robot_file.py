@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 from pydantic import Field, model_validator
 
-from op3.common.assets import named_configs
+from op3.common.assets import model_names
 from op3.robot.data_file import DataFile, Real, Record, among
 from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
 
@@ -141,7 +141,7 @@ class RobotFile(Record):
         tip: site at the end of an arm, which tasks move to a place.
         servo: make of the servos of all joints that name none.
         loop: who closes the loop of all servos; None: as their makes say.
-        law: servo model that is taken where none is asked for, a name in conf/servo; None: one made of its servos.
+        law: servo model that is taken where none is asked for, a name in assets/models; None: one made of its servos.
         board: what switches the servos' supply and holds the IMU on the bus; None: the servos have power, and no IMU.
         joints: those with a servo, by name, in the order of the model; entries that say `passive`, `coupled` or `held`
             become `unpowered`.
@@ -167,7 +167,7 @@ class RobotFile(Record):
     tip: str | None = None
     servo: str | None = None
     loop: Loop | None = None
-    law: Annotated[str, among("law", named_configs("servo"))] | None = None
+    law: Annotated[str, among("law", model_names())] | None = None
     board: Literal["opencr"] | None = None
     controlled: tuple[str, ...] | None = Field(default=None, min_length=1)
     poses: dict[str, dict[str, Real]] = {}
