@@ -183,7 +183,7 @@ def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
     """Numbers of the baseline on the same episodes, and its returns."""
     logs, *_ = play(cfg, task, cfg.baseline, "baseline")
-    others = [evaluation_return(log) for log in logs]
+    others = [evaluation_return(log, task) for log in logs]
     margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
     numbers = {
         "evaluation.baseline": str(cfg.baseline),
@@ -223,7 +223,7 @@ def main(cfg: DictConfig) -> Evaluated:
         for asked, achieved, spread in obeyed.speeds:
             print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
     stiff = hasattr(watched, "commands")
-    returns = [evaluation_return(log) for log in logs]
+    returns = [evaluation_return(log, task) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
         "evaluation.model": str(cfg.model or robot.file.law or "own"),

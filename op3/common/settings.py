@@ -15,6 +15,7 @@ What fields have to do with each other is checked in ``__post_init__`` as in any
 
 import difflib
 import functools
+import importlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -58,6 +59,9 @@ GAIN_LOW = 0.1
 
 GAIN_HIGH = 6.0
 """Highest P gain [A/rad] (paper Sec. action space)."""
+
+CONTROL_PERIOD = 0.008
+"""Time between ticks of the PD on the robot's computer [s] (paper, 125 Hz)."""
 
 Gain = Annotated[Number, Field(ge=GAIN_LOW, le=GAIN_HIGH)]
 
@@ -194,6 +198,19 @@ def nearest(name: object, known: Iterable[str]) -> str:
     known = list(known)
     close = difflib.get_close_matches(str(name), known, n=1)
     return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known) or 'none'}"
+
+
+def imported(name: str, where: str) -> Any:
+    """A function or class by its dotted path; a ValueError that names field and nearest where there is none."""
+    module, _, attribute = name.rpartition(".")
+    try:
+        home = importlib.import_module(module)
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"{where}: {name!r} cannot be imported ({error}); correct the path") from None
+    if not callable(found := getattr(home, attribute, None)):
+        known = [key for key in (*vars(home), *getattr(home, "__all__", ())) if callable(getattr(home, key))]
+        raise ValueError(f"{where}: {module} has no function or class {attribute!r}{nearest(attribute, known)}")
+    return found
 
 
 _SCALARS = {

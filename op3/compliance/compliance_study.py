@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from op3.common.sample_intervals import wilson_interval
-from op3.common.settings import Count, Positive, settings
+from op3.common.settings import CONTROL_PERIOD, Count, Positive, settings
 from op3.compliance.backdrive import BackDrive, back_drive
 from op3.compliance.energy import Energy, measure_energy
 from op3.compliance.gains import TICK, Gains, measure_gains
@@ -22,7 +22,6 @@ from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
 from op3.envs.step_traces import SKIPPED, StepWatch, Traces
 from op3.motions import SinusoidalGait
-from op3.replay.setups import OP3_CONTROL_PERIOD
 from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -209,7 +208,7 @@ class Study:
         """At states spread over a cycle of the gait, of the episodes that lasted longest."""
         assert self.task.cycle is not None
         longest, count = sorted(logs, key=lambda log: -log.rows), self.sizes.states
-        rows = np.round((SKIPPED + self.task.cycle * np.arange(count) / count) / OP3_CONTROL_PERIOD).astype(int)
+        rows = np.round((SKIPPED + self.task.cycle * np.arange(count) / count) / CONTROL_PERIOD).astype(int)
         gains = ["firmware_gain"] if actor.stiff else ["p_gain", "d_gain"]
         names = {"position_target": "command/position", **{name: f"command/{name}" for name in gains}}
         taken = [(log, min(row, log.rows - 1)) for log, row in zip(cycle(longest), rows, strict=False)]

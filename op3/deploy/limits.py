@@ -19,7 +19,7 @@ from op3.deploy.registers import DYNAMIXEL_X, Units
 from op3.deploy.robot_state import RobotState
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
-from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD, LARGEST_OVERLAP_COMMANDED
+from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD
 
 Array = NDArray[np.float64]
 HIGHEST = DYNAMIXEL_X["goal_current"].high or 0
@@ -46,8 +46,7 @@ class Limits:
         damp_gain: D gain of a damped joint [A s/rad].
         damp_time: how long joints are damped before torque goes off [s].
         overlap: depth to which parts of the robot may be in each other by the measured angles [m].
-        overlap_ahead: the same 16 ms later, by the measured speeds [m].
-        overlap_commanded: the same by the commands, see `SelfCollision` [m].
+        overlap_ahead: the same 16 ms later by the measured speeds, or by the commands, see `SelfCollision` [m].
     """
 
     peak_current: Positive | None = None
@@ -67,7 +66,6 @@ class Limits:
     damp_time: NotNegative = 0.5
     overlap: NotNegative = LARGEST_OVERLAP
     overlap_ahead: NotNegative = LARGEST_OVERLAP_AHEAD
-    overlap_commanded: NotNegative = LARGEST_OVERLAP_COMMANDED
 
     def __post_init__(self):
         if self.start_voltage < self.voltage:

@@ -83,7 +83,7 @@ class Monitor:
         Raises:
             Stop: if it drives parts of the robot into each other.
         """
-        stiffness, largest = command.p_gain / GAIN_HIGH, self._limits.overlap_commanded
+        stiffness, largest = command.p_gain / GAIN_HIGH, self._limits.overlap_ahead
         self._check_parts("commanded", self._parts.commanded(state.position, command.position, stiffness, largest))
 
     def _check_shutdown(self, state: RobotState) -> None:

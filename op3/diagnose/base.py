@@ -373,26 +373,30 @@ def settle(
 ) -> Baseline:
     """Gauss-Newton from a point until the base no longer moves.
 
-    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and its columns of
-    numbers that both have, which decide little where a fit ends.
+    What numbers do is simulated once, then corrected by what steps did (Broyden 1965), and simulated again where a step
+    gains nothing. With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and
+    its columns of numbers that both have, which decide little where a fit ends.
     """
-    point, linear = np.clip(point, coordinates.low, coordinates.high), None
-    number, done = 0, steps == 0
+    point = np.clip(point, coordinates.low, coordinates.high)
+    linear, number, gained, fresh = None, 0, 0.0, False
     while True:
-        kept = linear if done else None
-        linear = reduction.linearise(coordinates, point, like if done else like or linear, kept or like)
+        done = number == steps or (fresh and gained < SETTLED)
+        if done:
+            linear = reduction.linearise(coordinates, point, like, linear or like)
+        elif linear is None or gained < SETTLED:
+            linear, fresh = reduction.linearise(coordinates, point, like or linear, like), True
+        else:
+            linear, fresh = reduction.corrected(linear, point), False
         judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
         fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
         state = fit.state
         if done:
-            break
+            return Baseline(linear, fit)
         tried = np.concatenate([point[None], point + damped(fit, judge.numbers)])
         tried = np.clip(tried, coordinates.low, coordinates.high)
         costs = cost_of(reduction, judge, fit, linear, coordinates, tried)
-        gained, point = costs[0] - costs.min(), tried[int(costs.argmin())]
+        gained, point = float(costs[0] - costs.min()), tried[int(costs.argmin())]
         number += 1
-        done = number == steps or gained < SETTLED
-    return Baseline(linear, fit)
 
 
 def damped(fit: Posterior, numbers: Numbers) -> np.ndarray:

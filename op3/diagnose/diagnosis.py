@@ -19,7 +19,7 @@ from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
-from op3.diagnose.unexplained import joint_gaps, lacking
+from op3.diagnose.unexplained import joint_gaps
 from op3.diagnose.verdict import LIKELY, Alternative, Finding, Verdict
 from op3.diagnose.visibility import not_shown
 from op3.diagnose.whole_runs import on_whole_runs
@@ -211,7 +211,6 @@ class Diagnosis:
         result, joints, opened = [], reduction.engine.joints, self.search.opened(stage)
         variance = np.diag(stage.fit.covariance)
         entries = stage.base.coordinates.entries
-        lacked = [lacking(reduction, at) for at in self.stages]
         for number, one in enumerate(stage.named):
             i = entries.index(one.coordinates[0])
             share = np.exp(-self.settings.steepness * np.array([0.0, *(max(r.behind.z, 0.0) for r in one.rivals)]))
@@ -224,7 +223,6 @@ class Diagnosis:
             ended = point - entries[i].low < reach or entries[i].high - point < reach
             size = float(point + (known.neutral or 0.0))
             half = QUANTILE * float(np.sqrt(variance[i] + (self.settings.form * point) ** 2))
-            before, after = (np.square(lacked[min(k, len(lacked) - 1)]).sum() for k in (number, number + 1))
             result.append(
                 Finding(
                     one.candidate.effect.name,
@@ -238,10 +236,9 @@ class Diagnosis:
                     one.log_odds,
                     one.gain,
                     rivals,
-                    float(1 - after / before),
                     one.relevance.torque,
                     one.relevance.load,
-                    beyond=ended and abs(point) > 0.0,
+                    beyond=bool(ended and point != 0.0),
                     opened=None if opened is None else opened[number].z,
                 )
             )

@@ -38,7 +38,6 @@ class Finding:
         log_odds: of the evidence by which it was proposed.
         gain: by how much the model with it predicts runs that were left out better than the model without.
         alternatives: what it could be confused with, with probabilities.
-        explains: share of the squared torques that the baseline fit leaves.
         torque: what it makes in the joints that feel it most [N m], root mean square.
         load: largest share of a joint's torque that this is.
         of_base: whether it is a number that every baseline fit has, far from what is usual.
@@ -58,7 +57,6 @@ class Finding:
     log_odds: float
     gain: Gain
     alternatives: tuple[Alternative, ...] = ()
-    explains: float = 0.0
     torque: Mapping[str, float] = field(default_factory=dict)
     load: float = 0.0
     of_base: bool = False

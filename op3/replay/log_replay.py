@@ -10,8 +10,9 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.replay.log_parameters import parameters_per_log
-from op3.replay.setups import BENCH_CONTROL_PERIOD, OP3_CONTROL_PERIOD, Setup
+from op3.replay.setups import BENCH_CONTROL_PERIOD, Setup
 from op3.rollout import LogError, Rollout, stand_tilt
 from op3.rollout.schema import COMMAND_CHANNELS
 from op3.servo import RobotModel
@@ -267,8 +268,8 @@ def _control_period(log: Rollout) -> float:
     Logs are simulated together where it is the same, to a hundredth of a millisecond: a command counts by its stamp.
     """
     period = 1.0 / float(log.metadata.extra.get("control_rate", log.metadata.rate))
-    usual = abs(period - OP3_CONTROL_PERIOD) < SAME_RATE * period
-    return OP3_CONTROL_PERIOD if usual or log.metadata.mount == "pendulum" else round(period, 5)
+    usual = abs(period - CONTROL_PERIOD) < SAME_RATE * period
+    return CONTROL_PERIOD if usual or log.metadata.mount == "pendulum" else round(period, 5)
 
 
 def _fallback(command: str, log: Rollout) -> ArrayLike:

@@ -7,15 +7,13 @@ import mujoco
 import numpy as np
 import torch
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout import LogError, Rollout
 from op3.scenes import build_bench, build_scene
 from op3.scenes.scene import Scene
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation, PendulumSimulation, attach_servos
-
-OP3_CONTROL_PERIOD = 0.008
-"""Time between ticks of the PD on the robot's computer [s]; paper, 125 Hz."""
 
 BENCH_CONTROL_PERIOD = 0.001
 """Time between cycles of a servo's own position loop in simulation [s]."""
@@ -46,7 +44,7 @@ class Setup:
         bench_timestep: float = BENCH_CONTROL_PERIOD,
         tilt: tuple[float, float] = (0.0, 0.0),
         joints: Sequence[str] | None = None,
-        control_period: float = OP3_CONTROL_PERIOD,
+        control_period: float = CONTROL_PERIOD,
         robot: str | Robot = DEFAULT,
     ) -> "Setup":
         """The setup for logs of this mount.

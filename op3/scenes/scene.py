@@ -7,7 +7,6 @@ then `compile` makes a MuJoCo model of whatever the tree holds at that moment.
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from lxml import etree
 from numpy.typing import ArrayLike, NDArray
 
 from op3.common.assets import asset_path
-from op3.common.settings import nearest
+from op3.common.settings import imported, nearest
 from op3.robot.entity import RobotEntity
 from op3.robot.kinematics import level_soles, quaternion, rotation_matrix, standing_height
 from op3.robot.robot import DEFAULT, Robot, checked_angles, exclude_neighbours, load_robot
@@ -235,11 +234,7 @@ def _own_scene(name: str, robot: Robot) -> Scene:
             return _on_floor(name, robot, mjcf.from_path(name))
         except (ValueError, KeyError, AttributeError, etree.XMLSyntaxError) as error:
             raise ValueError(f"scene={name}: {error}") from None
-    module, _, function = name.rpartition(".")
-    try:
-        made = getattr(importlib.import_module(module), function)(robot)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"scene={name}: {error}; give the dotted name of a function of a robot") from None
+    made = imported(name, "scene")(robot)
     if isinstance(made, Scene):
         return made
     if not isinstance(made, mjcf.RootElement):

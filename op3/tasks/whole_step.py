@@ -49,6 +49,12 @@ class Throughout:
     peak_acceleration: Tensor
     peak_penetration: Tensor
 
+    @classmethod
+    def still(cls, count: int, feet: int) -> Throughout:
+        """So many robots before their first step."""
+        whole, of_feet = torch.zeros(count, dtype=torch.float64), torch.zeros(count, feet, dtype=torch.float64)
+        return cls(*[whole] * 4, *[of_feet] * 3, *[whole] * 3)
+
     def replace(self, **values: Tensor) -> Throughout:
         """The same with other values of some attributes."""
         return replace(self, **values)

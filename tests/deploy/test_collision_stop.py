@@ -86,7 +86,7 @@ def test_a_pose_that_is_commanded_ends_the_run(tmp_path):
 def test_limits_of_overlap_are_settings(tmp_path):
     """With limits of 0.1 m the same target is carried out."""
     rig = make_rig(tmp_path)
-    limits = Limits(overlap=0.1, overlap_ahead=0.1, overlap_commanded=0.1)
+    limits = Limits(overlap=0.1, overlap_ahead=0.1)
     outcome = rig.run([GainRamp(), Move(crossed(0.2)), HoldPose(crossed(0.2), duration=0.1)], limits=limits)
     assert outcome.code == ExitCode.OK
     assert rig.physics.position[LEFT] > 0.15

@@ -107,7 +107,7 @@ def blocked(rig):
     return rig
 
 
-ANY_POSE = Limits(overlap_ahead=1.0, overlap_commanded=1.0)
+ANY_POSE = Limits(overlap_ahead=1.0)
 """Lets a robot be commanded to where its legs would hit each other: here the joints never move."""
 
 

@@ -7,8 +7,7 @@ import torch
 from op3.envs import make_env
 from op3.policy import ActionMap, Manifest
 from op3.tasks import find_task
-from op3.train import SAC, Progress, TrainSettings, train
-from op3.train import greedy_episodes as evaluate
+from op3.train import SAC, Progress, TrainSettings, evaluate, train
 
 
 def learned(backend: str, folder: Path) -> tuple[SAC, Progress]:

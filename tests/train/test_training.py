@@ -15,8 +15,7 @@ from train_pendulum import LIMIT, MANIFEST, Pendulum
 from op3.envs import make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle
 from op3.tasks import find_task
-from op3.train import PPO, SAC, TD3, Algorithm, Practice, Progress, TrainSettings, train
-from op3.train import greedy_episodes as evaluate
+from op3.train import PPO, SAC, TD3, Algorithm, Practice, Progress, TrainSettings, evaluate, train
 from op3.train.checkpoint import stop_requested
 
 LEARN = {
