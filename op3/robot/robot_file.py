@@ -262,7 +262,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if name not in hinges:
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
-            raise file.fault(place, "is a ball in the model; take it out of there, which holds it")
+            raise file.fault(place, "is a ball joint in the model: remove it from the model, which fixes the part")
         if entry.coupled and entry.coupled.joint not in content.joints:
             raise file.unknown((*place, "coupled"), "joint with a servo", entry.coupled.joint, content.joints)
     known = {*content.joints, *content.unpowered, *coupled}
@@ -297,7 +297,7 @@ def _check_partners(file: DataFile, content: RobotFile) -> None:
         if entry.mirror not in content.joints:
             raise file.unknown(place, "joint", entry.mirror, content.joints)
         if entry.mirror == name:
-            raise file.fault(place, "is the joint itself; leave it out")
+            raise file.fault(place, "names the joint itself; leave `mirror` out")
         if taken := [one for one, other in pair.items() if partners.setdefault(one, other) != other]:
             raise file.fault(place, f"is {entry.mirror}, but {taken[0]} has the partner {partners[taken[0]]} already")
 
