@@ -56,7 +56,7 @@ def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     shape = [operator.index(size) for size in entry["shape"]]
     size, wanted = path.stat().st_size if path.is_file() else 0, math.prod(shape) * dtype.itemsize
     if size != wanted:
-        raise LogError(f"the file has {size} bytes where {wanted} belong", _RESTORE, source=path)
+        raise LogError(f"the file has {size} bytes, expected {wanted}", _RESTORE, source=path)
     return torch.from_numpy(np.memmap(path, dtype=dtype, mode="c", shape=tuple(shape)))
 
 

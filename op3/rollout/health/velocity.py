@@ -168,7 +168,7 @@ def velocity(view: View) -> Iterator[LogFinding]:
     factors = [ratio for _, ratio in wrong.values() if ratio and ratio > 0]
     alike = len(factors) == len(wrong) == len(moving) > 1 and max(factors) < 1.1 * min(factors)
     clock = (
-        f"; alike in all joints, as if the clock ran at {factors[0]:.3g} times its speed, or all positions were scaled"
+        f"; in all joints, as if the clock ran at {factors[0]:.3g} times its speed, or all positions were scaled"
         if alike
         else ""
     )
