@@ -151,7 +151,7 @@ def source_word(app: str, argument: str) -> str:
 
 def choices_of_resumed(words: Sequence[str]) -> list[str]:
     """What a run that is to be resumed chose of the groups its settings come from, so that each can be overridden."""
-    given = dict(word.partition("=")[::2] for word in words)
+    given = {name: value for name, _, value in (word.partition("=") for word in words)}
     file = Path(given.get("resume", "").strip("'\"")) / ".hydra" / "hydra.yaml"
     if "resume" not in given or not file.is_file():
         return []
