@@ -4,14 +4,18 @@ python experiments/benchmarks/closed_loop.py --robot leg --seed 300
 python experiments/benchmarks/closed_loop.py --robot op3 --cases mild_dte,sound --seed 310
 python experiments/benchmarks/closed_loop.py --robot arm3 --seed 320 --out outputs/closed_loop.yaml
 
-Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. Windows of 0.2 s
-of the runs that the diagnosis only shows are compared under the given model, the baseline fit and the returned model.
+Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. Windows of the
+runs that the diagnosis only shows are compared under the given model, the baseline fit, the returned model, and the
+model to which the hidden effect was told, fitted in the same way. Each case has a process of its own.
 """
 
 import argparse
+import resource
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +24,20 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
+from op3.diagnose.findings import Proposal, Search, Stage
+from op3.motions import Excitation, Motion, leg_suite
+from op3.motions.op3_suites import LEG_JOINTS
 from op3.replay.windows import WindowResiduals
-from op3.robot import DEFAULT, Excitation, Motion, build_scene, leg_suite, load_robot
-from op3.robot.op3_suites import LEG_JOINTS
+from op3.robot import DEFAULT, load_robot
 from op3.rollout import Rollout
+from op3.scenes import build_scene
 from op3.servo import RobotModel
 from op3.sim import load_model
 from op3.stand_in import cases as bench
 from op3.stand_in.cases import Case, record_case
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.suites import SETTINGS, Setting
-from op3.stand_in.world import BENCH_RANGES, World
+from op3.stand_in.world import BENCH_RANGES, HiddenWorld
 
 ARM = ("l_sho_pitch", "l_sho_roll", "l_el")
 
@@ -59,22 +66,31 @@ PLACES = {
 }
 """Joints of each robot in which faults sit."""
 
-Fault = Callable[[World, dict[str, Any]], tuple[str, World, tuple[Hidden, ...]]]
+Fault = Callable[[HiddenWorld, dict[str, Any]], tuple[str, HiddenWorld, tuple[Hidden, ...]]]
 
 
 def hidden(name: str, size: float, where: str) -> Fault:
     """One effect in one place of the robot."""
 
-    def of(world: World, places: dict[str, Any]) -> tuple[str, World, tuple[Hidden, ...]]:
+    def of(world: HiddenWorld, places: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
         joints = places[where] if isinstance(places[where], tuple) else (places[where],)
         return "paper", world, (Hidden(name, size, joints),)
 
     return of
 
 
+def shared(name: str, base: str, **values: float) -> Fault:
+    """One effect of all joints that the given model lacks and the world has."""
+
+    def of(world: HiddenWorld, _: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
+        return base, world.replace(**values), (Hidden(name, next(iter(values.values()))),)
+
+    return of
+
+
 FAULTS: dict[str, Fault] = {
-    "mild_dte": lambda world, _: ("paper_without_dte", world.replace(backward_efficiency=0.9), ()),
-    "strong_stribeck": lambda world, _: ("paper_without_stribeck", world.replace(static_friction_excess=0.12), ()),
+    "mild_dte": shared("dte", "paper_without_dte", backward_efficiency=0.9),
+    "strong_stribeck": shared("stribeck", "paper_without_stribeck", static_friction_excess=0.12),
     "sound": lambda world, _: ("paper", world, ()),
     "friction_x4": lambda world, places: hidden("coulomb", 3 * world.coulomb_friction, "strong")(world, places),
     "backlash_12": hidden("backlash", 0.006, "loose"),
@@ -88,10 +104,21 @@ FAULTS: dict[str, Fault] = {
 
 def case_of(fault: str, robot: str, seed: int) -> Case:
     """A robot drawn from a seed, with a fault."""
-    base, world, effects = FAULTS[fault](World.random(seed, BENCH_RANGES), PLACES[robot])
-    kind = "null" if fault == "sound" else "single"
+    base, world, effects = FAULTS[fault](HiddenWorld.random(seed, BENCH_RANGES), PLACES[robot])
     joints = tuple(str(joint.name) for joint in SETTINGS[robot].scene().joints)
+    kind = "single" if effects else "null"
     return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
+
+
+def told(search: Search, stage: Stage, hidden: Hidden) -> Stage:
+    """The stage with an effect that is known to be there, its size and the base fitted as a finding's are."""
+    names = search.reduction.engine.joints
+    place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
+    odds = stage.judge.scores(stage.fit)
+    number = max((i for i, one in enumerate(stage.found) if one.place == place), key=lambda i: float(odds[i]))
+    with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
+    step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
+    return search.with_best(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.state)])
 
 
 def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list[list[float]]:
@@ -107,48 +134,69 @@ def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list
 
 
 def diagnosed(case: Case) -> dict[str, Any]:
-    """What a diagnosis makes of a case."""
+    """What a diagnosis makes of a case; memory is that of its process at most, before the effect is told."""
+    torch.set_num_threads(1)
     logs = list(record_case(case))
     given, split = load_model(case.base), split_logs(logs, seed=0)
     began, cpu = time.monotonic(), time.process_time()
-    verdict = Diagnosis(given, split, seed=0).run()
+    diagnosis = Diagnosis(given, split, seed=0)
+    verdict = diagnosis.run()
     spent, cpu = time.monotonic() - began, time.process_time() - cpu
-    errors = window_errors((given, verdict.base, verdict.model), split.show)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    models, search = [given, verdict.base, verdict.model], diagnosis.search
+    if case.hidden and search is not None:
+        models.append(told(search, diagnosis.stages[0], case.hidden[0]).base.model)
+    errors = window_errors(models, split.show)
     findings = [
         {
             "effect": one.effect, "joints": "all" if one.shared else " ".join(one.joints), "size": round(one.size, 5),
             "probability": round(one.probability, 2),
+            "in_model": one.of_base or one.effect in verdict.model.effect_names,
         }
         for one in verdict.findings
     ]  # fmt: skip
+    horizons = {} if verdict.windows is None else verdict.windows.horizons
     return {
         "case": case.name, "findings": findings, "mrad": [round(one[0], 2) for one in errors],
-        "mA": [round(one[1], 2) for one in errors], "wall": round(spent), "cpu": round(cpu),
+        "mA": [round(one[1], 2) for one in errors],
+        "horizons": {
+            str(length): [round(1e3 * value, 2) for value in (one.given, one.baseline, one.returned)]
+            for length, one in horizons.items()
+        },
+        "wall": round(spent), "cpu": round(cpu), "MB": round(memory),
+        "stages": {name: round(value) for name, value in verdict.seconds.items()},
     }  # fmt: skip
+
+
+def line(row: dict[str, Any]) -> str:
+    """One case in a line."""
+    named = "; ".join(
+        f"{one['effect']} in {one['joints']} {one['size']:g} p {one['probability']:.2f}" for one in row["findings"]
+    )
+    angle = " -> ".join(f"{value:.2f}" for value in row["mrad"][:3])
+    current = " -> ".join(f"{value:.1f}" for value in row["mA"][:3])
+    known = f" ({row['mrad'][3]:.2f} told)" if len(row["mrad"]) > 3 else ""
+    cost = f"{row['wall']} s, {row['cpu']} s of processor time, {row['MB']} MB"
+    return f"{row['case']:24} {angle}{known} mrad, {current} mA, {cost}: {named or 'nothing'}"
 
 
 def main() -> None:
     """Diagnose and print a line for each case."""
-    torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", choices=sorted(PLACES), default="leg")
     parser.add_argument("--cases", default=",".join(FAULTS))
     parser.add_argument("--seed", type=int, default=300, help="of the first robot; each case has the next")
     parser.add_argument("--out", type=Path, help="file that gets all results")
     given = parser.parse_args()
+    cases = [case_of(fault, given.robot, given.seed + i) for i, fault in enumerate(given.cases.split(","))]
     rows = []
-    for number, fault in enumerate(given.cases.split(",")):
-        row = diagnosed(case_of(fault, given.robot, given.seed + number))
-        rows.append(row)
-        named = "; ".join(
-            f"{one['effect']} in {one['joints']} {one['size']:g} p {one['probability']:.2f}" for one in row["findings"]
-        )
-        angle = " -> ".join(f"{value:.2f}" for value in row["mrad"])
-        current = " -> ".join(f"{value:.1f}" for value in row["mA"])
-        print(f"{row['case']:24} {angle} mrad, {current} mA, {row['wall']} s: {named or 'nothing'}", flush=True)
-        if given.out:
-            given.out.parent.mkdir(parents=True, exist_ok=True)
-            given.out.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        for row in pool.map(diagnosed, cases):
+            rows.append(row)
+            print(line(row), flush=True)
+            if given.out:
+                given.out.parent.mkdir(parents=True, exist_ok=True)
+                given.out.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Random edits of robots and of logs of every format: each is read or refused in one sentence, in time, traceless.
+"""Random edits of robots, and of logs of every format: each is read or refused in one sentence, in time.
 
 python experiments/benchmarks/fuzz_logs.py [EDITS] [SEED] [FORMAT]
 

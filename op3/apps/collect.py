@@ -31,15 +31,16 @@ from op3.apps.command_result import CommandResult
 from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
+from op3.common.settings import read_yaml
 from op3.deploy import Stop
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.ticker import PERIOD
+from op3.motions import Motion, check_motion
 from op3.policy import PolicyBundle
 from op3.policy.card import check_card
-from op3.robot import Motion, check_motion, load_robot
+from op3.robot import load_robot
 from op3.rollout import MOUNTS, Rollout, git_hash
-from op3.settings import read_yaml
 
 INTERRUPTED = goes_on("recordings")
 
@@ -81,14 +82,14 @@ def collect(
     """Record a motion, a plan of motions or a policy's episodes on a robot.
 
     Args:
-        motion: a name in ``conf/motion``.
+        motion: a name in ``conf/motion`` or ``conf/motion_variants.yaml``.
         source: who plays the robot: ``stand_in``, ``emulated``, ``real`` or ``model``.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         policy: folder of a bundle whose episodes are recorded instead of a motion.
         task: that the policy attempts, a name in ``conf/task``.
         plan: path of a ``plan.yaml``, played instead of a motion.
         mount: ``floor`` or ``stand``.
-        world: of a stand-in: a name in ``conf/stand_in``, a path, or ``random``.
+        world: of a stand-in: a name in ``assets/worlds.yaml``, a path, or ``random``.
         world_seed: which random world.
         model: of the sources ``emulated`` and ``model``: in place of a stand-in.
         port: of a real robot.

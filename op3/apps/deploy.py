@@ -22,7 +22,7 @@ from op3.deploy import (
     Connection,
     ExitCode,
     FollowPolicy,
-    Hold,
+    HoldPose,
     Limits,
     Plan,
     PolicyRunner,
@@ -79,7 +79,7 @@ def deploy(
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         mode: ``run``, ``dry_run``, ``read_only``, ``hang``, ``setup``, ``calibrate`` or ``replay``.
         duration: of the policy or of watching [s].
-        world: of an emulated robot: a name in ``conf/stand_in``, a path, or ``random``.
+        world: of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
         model: of an emulated robot: a ``model.yaml``, or ``own``, in place of a stand-in.
         confirm: ask before torque.
         seed: of an emulated robot.
@@ -202,7 +202,7 @@ def run_on(
     """Run the policy, or hold the stand pose."""
     if runner is None:
         home = connection.bus.robot.home
-        make = lambda: Hold(home, duration=duration, log="run")  # noqa: E731
+        make = lambda: HoldPose(home, duration=duration, log="run")  # noqa: E731
         return run(connection, make, plan, motion="hold", git_hash=git_hash())
     manifest = runner.bundle.manifest
     known: dict[str, Any] = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}

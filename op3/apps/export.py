@@ -13,10 +13,10 @@ from omegaconf import DictConfig
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
 from op3.apps.support import output_folder
+from op3.common.writing import write_text
 from op3.identify.prediction_score import predict_logs
 from op3.robot import load_robot
 from op3.rollout import read_logs
-from op3.rollout.files import write_text
 from op3.sim import model_for
 from op3.sim.foreign_models import EXPRESSES, expressed, to_bam, to_mjcf
 

@@ -12,9 +12,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from op3.assets import find_model, robot_file
-from op3.command_help import config_file
-from op3.settings import (
+from op3.apps.command_help import config_file
+from op3.common.assets import find_model, robot_file
+from op3.common.settings import (
     GAIN_HIGH,
     Count,
     Gain,
@@ -29,7 +29,7 @@ from op3.settings import (
     settings,
     shown,
 )
-from op3.wandb_settings import WandbSettings
+from op3.common.wandb_settings import WandbSettings
 
 
 @settings()
@@ -103,7 +103,7 @@ REQUIRED = {
     "data": "a log, a folder of logs, or a list of them",
     "policy": "the folder of a policy bundle",
     "episodes": "a folder of logs of the policy's episodes",
-    "model": "a model.yaml or a name in conf/servo",
+    "model": "a model.yaml or a name in assets/models",
     "runs": "the folder of a multirun of op3 identify",
     "what": "a log, a policy bundle, a model.yaml, a robot file or the run of a diagnosis",
 }

@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from op3.common.sample_intervals import wilson_interval
+from op3.common.settings import Named, Number, Positive, nearest, settings
 from op3.compliance.energy import measure_energy
 from op3.compliance.pushing import survive_pushes
 from op3.envs.actors import Actor
@@ -19,9 +21,7 @@ from op3.policy import PolicyBundle
 from op3.policy.card import Card
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.sample_intervals import wilson_interval
 from op3.servo import Parameter, RobotModel, catalogue
-from op3.settings import Named, Number, Positive, nearest, settings
 from op3.tasks.evaluation import succeeded
 from op3.tasks.pushes import DIRECTIONS
 from op3.tasks.task import Task, find_task
@@ -88,7 +88,7 @@ def _with_parameter(model: RobotModel, name: str) -> RobotModel:
         if any(parameter.name == name for parameter in effect.parameters):
             return model.with_effect(effect(), {p.name: _neutral(p) for p in effect.parameters})
     known = sorted({p.name for effect in catalogue().values() for p in effect.parameters} | {BUS_VOLTAGE})
-    raise ValueError(f"a variation changes {name!r}, which no model has{nearest(name, known)}")
+    raise ValueError(f"a variation changes {name!r}: no model has such a parameter{nearest(name, known)}")
 
 
 def _neutral(parameter: Parameter) -> float:

@@ -38,7 +38,6 @@ class Finding:
         log_odds: of the evidence by which it was proposed.
         gain: by how much the model with it predicts runs that were left out better than the model without.
         alternatives: what it could be confused with, with probabilities.
-        explains: share of the squared torques that the baseline fit leaves.
         torque: what it makes in the joints that feel it most [N m], root mean square.
         load: largest share of a joint's torque that this is.
         of_base: whether it is a number that every baseline fit has, far from what is usual.
@@ -58,7 +57,6 @@ class Finding:
     log_odds: float
     gain: Gain
     alternatives: tuple[Alternative, ...] = ()
-    explains: float = 0.0
     torque: Mapping[str, float] = field(default_factory=dict)
     load: float = 0.0
     of_base: bool = False
@@ -113,7 +111,7 @@ class Verdict:
         findings: most probable first.
         joints: what each joint lacks, by name.
         doubts: sentences about the baseline fit: numbers at a bound, other optima.
-        untold: shared numbers that are not identifiable from these logs.
+        unidentifiable: shared numbers that are not identifiable from these logs.
         cannot_tell: what the logs do not show, and what to record.
         base: the baseline fit: the given model refitted without new effects.
         model: the returned model: the baseline with every finding.
@@ -131,7 +129,7 @@ class Verdict:
     findings: tuple[Finding, ...]
     joints: Mapping[str, JointGap]
     doubts: tuple[str, ...]
-    untold: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
     cannot_tell: tuple[str, ...]
     base: RobotModel
     model: RobotModel
@@ -191,7 +189,7 @@ class Verdict:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "base": plain({name: getattr(self, name) for name in ("doubts", "untold", "chain", "ends")}),
+            "base": plain({name: getattr(self, name) for name in ("doubts", "unidentifiable", "chain", "ends")}),
             "findings": [plain(one) | {"separate_by": one.separate_by} for one in self.findings],
             **{
                 name: plain(getattr(self, name))

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 from pydantic import Field, model_validator
 
-from op3.assets import named_configs
+from op3.common.assets import model_names
 from op3.robot.data_file import DataFile, Real, Record, among
 from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
 
@@ -144,7 +144,7 @@ class RobotFile(Record):
         tip: site at the end of an arm, which tasks move to a place.
         servo: make of the servos of all joints that name none.
         loop: who closes the loop of all servos; None: as their makes say.
-        law: servo model that is taken where none is asked for, a name in conf/servo; None: one made of its servos.
+        law: servo model that is taken where none is asked for, a name in assets/models; None: one made of its servos.
         board: what switches the servos' supply and holds the IMU on the bus; None: the servos have power, and no IMU.
         joints: those with a servo, by name, in the order of the model; entries that say `passive`, `coupled` or `held`
             become `unpowered`.
@@ -170,7 +170,7 @@ class RobotFile(Record):
     tip: str | None = None
     servo: str | None = None
     loop: Loop | None = None
-    law: Annotated[str, among("law", named_configs("servo"))] | None = None
+    law: Annotated[str, among("law", model_names())] | None = None
     board: Literal["opencr"] | None = None
     controlled: tuple[str, ...] | None = Field(default=None, min_length=1)
     poses: dict[str, dict[str, Real]] = {}
@@ -279,7 +279,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if name not in hinges:
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
-            raise file.fault(place, "is a ball in the model; take it out of there, which holds it")
+            raise file.fault(place, "is a ball joint in the model: remove it from the model, which fixes the part")
         if entry.coupled and entry.coupled.joint not in content.joints:
             raise file.unknown((*place, "coupled"), "joint with a servo", entry.coupled.joint, content.joints)
     known = {*content.joints, *content.unpowered, *coupled}
@@ -317,7 +317,7 @@ def _check_partners(file: DataFile, content: RobotFile) -> None:
         if entry.mirror not in content.joints:
             raise file.unknown(place, "joint", entry.mirror, content.joints)
         if entry.mirror == name:
-            raise file.fault(place, "is the joint itself; leave it out")
+            raise file.fault(place, "names the joint itself; leave `mirror` out")
         if taken := [one for one, other in pair.items() if partners.setdefault(one, other) != other]:
             raise file.fault(place, f"is {entry.mirror}, but {taken[0]} has the partner {partners[taken[0]]} already")
 

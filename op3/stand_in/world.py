@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -12,8 +13,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from op3.robot import named_configs
-from op3.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
+from op3.common.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
+from op3.robot import asset_path
 from op3.stand_in.hidden import Hidden
 
 _SPREAD = (
@@ -54,7 +55,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
     """
     content = read_yaml(Path(__file__).with_name("ranges.yaml"))
     ranges = {**content["random"], **content["bench"]}
-    known = [field.name for field in dataclasses.fields(World)]
+    known = [field.name for field in dataclasses.fields(HiddenWorld)]
     for name, of in (read_yaml(path) if path is not None else {}).items():
         if name not in known:
             raise ValueError(f"{path}: a world has no {name!r}{nearest(name, known)}")
@@ -65,7 +66,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
 
 
 @settings("world")
-class World:
+class HiddenWorld:
     """The truth of one robot and the ground it stands on.
 
     The first eleven are the quantities of the paper's Table I. The rest is what no identification is told of.
@@ -181,7 +182,7 @@ class World:
         """Twelve hexadecimal digits that tell worlds apart without telling anything about them."""
         return hashlib.sha256(repr(dataclasses.astuple(self)).encode()).hexdigest()[:12]
 
-    def replace(self, **changes: Any) -> World:
+    def replace(self, **changes: Any) -> HiddenWorld:
         """A world that differs in some numbers."""
         return dataclasses.replace(self, **changes)
 
@@ -192,8 +193,8 @@ class World:
         return {name: getattr(self, name) * row for name, row in zip(_SPREAD, spread, strict=True)}
 
     @classmethod
-    def random(cls, seed: int, ranges: Ranges | None = None) -> World:
-        """A world drawn from ranges, those of Table I if None; what is not named there is as in `World()`."""
+    def random(cls, seed: int, ranges: Ranges | None = None) -> HiddenWorld:
+        """A world drawn from ranges, those of Table I if None; what is not named there is as in `HiddenWorld()`."""
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise ValueError(f"the seed of a random world must be a whole number of at least 0, got {seed!r}")
         rng = np.random.default_rng([seed, 2])
@@ -204,23 +205,28 @@ class World:
         return cls(**drawn, spread_seed=int(seed))
 
     @classmethod
-    def load(cls, path: str | Path) -> World:
-        """Read a YAML file of `name: value` lines; what it does not name is as in `World()`.
+    def load(cls, path: str | Path) -> HiddenWorld:
+        """Read a YAML file of `name: value` lines; what it does not name is as in `HiddenWorld()`.
 
         A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
         to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [elbow]}`.
         """
-        values = read_yaml(path)
-        drawn = values.pop("draw", None)
+        return cls.of(read_yaml(path), str(path))
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], origin: str) -> HiddenWorld:
+        """A world from what its file says; `origin` is named in errors."""
+        values, drawn = dict(values), values.get("draw")
+        values.pop("draw", None)
         try:
             if "hidden" in values:
                 values["hidden"] = [Hidden(**effect) for effect in values["hidden"]]
             return cls(**values) if drawn is None else cls(**{**vars(cls.random(drawn)), **values})
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{origin}: {error}") from None
 
     @classmethod
-    def find(cls, name: str | Path, seed: int = 0) -> World:
+    def find(cls, name: str | Path, seed: int = 0) -> HiddenWorld:
         """A world by what a user calls it.
 
         Args:
@@ -232,7 +238,7 @@ class World:
         if Path(name).is_file():
             return cls.load(name)
         if name in world_names():
-            return cls.load(named_configs("stand_in")[str(name)])
+            return cls.of(_worlds()[str(name)], str(name))
         known = ", ".join(world_names())
         raise ValueError(f"there is no world {str(name)!r}; choose random, {known}, or the path of a YAML file")
 
@@ -251,5 +257,10 @@ BENCH_RANGES: Ranges = read_ranges()
 
 
 def world_names() -> tuple[str, ...]:
-    """Names of the worlds that come with the project, in `conf/stand_in/`."""
-    return tuple(named_configs("stand_in"))
+    """Names of the worlds that come with the project, in `assets/worlds.yaml`."""
+    return tuple(_worlds())
+
+
+@lru_cache(maxsize=1)
+def _worlds() -> dict[str, dict[str, Any]]:
+    return read_yaml(asset_path("worlds.yaml"))

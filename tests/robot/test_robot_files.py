@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from robots import ROBOTS, write_robot
 
-from op3.assets import robot_files
-from op3.robot import RobotEntity, build_scene, load_robot, load_servo
+from op3.common.assets import robot_files
+from op3.robot import RobotEntity, load_robot, load_servo
 from op3.robot.servo_make import servo_files
+from op3.scenes import build_scene
 
 
 def compiled(robot, **parameters):
@@ -195,7 +196,10 @@ def test_robots_travel_between_processes(tmp_path):
             {"home: 0.4": "limits: [-90, 90]"},
             r"line 9: joints.j1.limits go from -90 to 90 rad, beyond the model's -1.5 to 1.5",
         ),
-        ({"home: 0.4": "mirror: j1"}, r"line 9: joints.j1.mirror is the joint itself; leave it out"),
+        (
+            {"home: 0.4": "mirror: j1"},
+            r"line 9: joints.j1.mirror names the joint itself; leave `mirror` out",
+        ),
         (
             {"{bus_id: 1}": "{bus_id: 1, mirror: j1}", "home: 0.4": "mirror: j2"},
             r"line 9: joints.j1.mirror is j2, but j1 has the partner j0 already",

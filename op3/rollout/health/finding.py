@@ -28,13 +28,13 @@ ERROR, WARNING = "error", "warning"
 
 
 @dataclass(frozen=True)
-class Finding:
+class LogFinding:
     """Something about a log that is wrong or suspicious.
 
     Attributes:
         severity: `error` or `warning`.
         problem: Evidence with its numbers, and the likely cause.
-        remedy: What mends it, an option of the import where there is one.
+        remedy: How to correct it, an option of the import where there is one.
         column: Column of the wide CSV, `time`, or a metadata field (`field mass`); None for the whole log.
         rows: First and last row concerned, counted from 1; None for all.
         times: Times of these rows [s].
@@ -63,7 +63,7 @@ class Finding:
         times = "" if self.times is None else " to ".join(f"{t:.6g}" for t in dict.fromkeys(self.times))
         where = {"joint": joint, "channel": channel, "rows": rows, "times [s]": times}
         severity = "set aside" if self.set_aside else self.severity
-        return {"severity": severity, **where, "finding": self.problem, "what mends it": self.remedy}
+        return {"severity": severity, **where, "finding": self.problem, "remedy": self.remedy}
 
 
 class View:
@@ -127,13 +127,13 @@ class View:
         remedy: str,
         *rows: SupportsInt,
         aside: bool = False,
-    ) -> Finding:
+    ) -> LogFinding:
         """A finding.
 
         Args:
             severity: `ERROR` or `WARNING`.
             where: Column of the wide CSV, or its channel and index.
-            problem: See `Finding`.
+            problem: See `LogFinding`.
             remedy: The same.
             rows: The row, or the first and the last, counted from 0; none for all.
             aside: Whether the column is not to be used.
@@ -142,10 +142,10 @@ class View:
         span = (int(rows[0]), int(rows[-1])) if rows else None
         times = (float(self.time[span[0]]), float(self.time[span[1]])) if span else None
         counted = (span[0] + 1, span[1] + 1) if span else None
-        return Finding(severity, problem, remedy, column, counted, times, aside)
+        return LogFinding(severity, problem, remedy, column, counted, times, aside)
 
 
-Check = Callable[[View], Iterable[Finding]]
+Check = Callable[[View], Iterable[LogFinding]]
 
 CHECKS: dict[str, Check] = {}
 """Every check by its name; a check's docstring is its line in the documentation."""
@@ -165,16 +165,16 @@ def check(name: str, unless: tuple[str, ...] = ()) -> Callable[[Check], Check]:
     return enter
 
 
-def examine(log: Rollout) -> tuple[Finding, ...]:
+def examine(log: Rollout) -> tuple[LogFinding, ...]:
     """Everything that the checks find in a log, errors first."""
     with np.errstate(all="ignore"):  # what overflows is refused by its bound
         found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
     return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
 
 
-def told_together(findings: Sequence[Finding]) -> list[Finding]:
+def told_together(findings: Sequence[LogFinding]) -> list[LogFinding]:
     """What is found alike in several joints, told once: where it differs in its numbers only, it has one cause."""
-    alike: dict[tuple, list[Finding]] = {}
+    alike: dict[tuple, list[LogFinding]] = {}
     for number, one in enumerate(findings):
         joint, _, channel = (one.column or "").rpartition(".")
         words = tuple(re.sub(r"(?<!\w)-?\d[\d.e+-]*", "#", text) for text in (one.problem, one.remedy))
@@ -183,11 +183,11 @@ def told_together(findings: Sequence[Finding]) -> list[Finding]:
     told = []
     for first, *others in alike.values():
         joints = ", ".join(dict.fromkeys((one.column or "").rpartition(".")[0] for one in others))
-        told.append(replace(first, problem=f"{first.problem} (alike in {joints})") if others else first)
+        told.append(replace(first, problem=f"{first.problem} (also in {joints})") if others else first)
     return told
 
 
-def _findings(view: View) -> Iterator[Finding]:
+def _findings(view: View) -> Iterator[LogFinding]:
     aside = {finding.column for finding in view.log.findings if finding.set_aside}
     told: set[str] = set()
     for name, function in CHECKS.items():
