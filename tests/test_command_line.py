@@ -1,7 +1,6 @@
 """One command for all experiments: help, completion, and wrong input answered in one sentence."""
 
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from op3.apps.command_help import COMMANDS, completion, config_file, overview, usage
-from op3.apps.job import configured
+from op3.apps.command_help import COMMANDS, completion, overview, usage
 from op3.command_line import main, quoted
 from tests.scripts import run_apart
 
@@ -26,17 +24,6 @@ def op3() -> Callable[..., tuple[int, str]]:
         return done.returncode, done.stderr.strip()
 
     return run
-
-
-VALUES = {"robot": "op3", "model": "paper"}
-
-
-@pytest.mark.parametrize("config", sorted(set(COMMANDS.values())))
-def test_shipped_settings_are_accepted(config, tmp_path):
-    """No default of a command is refused by the check of its fields."""
-    asked = re.findall(r"^(\w+): \?\?\?", config_file(config).read_text(encoding="utf-8"), re.MULTILINE)
-    with configured(config, [f"{name}={VALUES.get(name, tmp_path)}" for name in asked], tmp_path / "run") as cfg:
-        assert cfg
 
 
 @pytest.mark.parametrize(
