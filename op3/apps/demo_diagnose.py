@@ -43,7 +43,7 @@ def hidden(answer: Mapping[str, Any]) -> str:
     texts = []
     for effect in answer["effects"]:
         kind = KINDS[effect["name"]]
-        size = f"{kind.parameter or kind.meaning} {kind.told(effect['size']):.3g}"
+        size = f"{kind.parameter or kind.meaning} {kind.catalogue_size(effect['size']):.3g}"
         texts.append(f"{effect['name']} in {where(effect['joints'], effect['shared'])} ({size})")
     return "; ".join(texts)
 
