@@ -31,7 +31,7 @@ def test_a_call_from_python_is_checked_and_leaves_the_outer_config(tmp_path):
     """The folder is the one given; a wrong field is refused; afterwards no config of the call is left."""
     from hydra.core.hydra_config import HydraConfig
 
-    with configured("collect"(motion="squat", repeats=2), tmp_path / "run") as cfg:
+    with configured("collect", motion="squat", repeats=2, folder=tmp_path / "run") as cfg:
         assert (cfg.repeats, HydraConfig.get().runtime.output_dir) == (2, str(tmp_path / "run"))
         with pytest.raises(ValueError, match="repeats must be at least 1"), configured("collect", repeats=0):
             pass
