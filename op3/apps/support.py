@@ -18,8 +18,8 @@ from op3.common.assets import find_model, motion_names
 from op3.common.private import scrub
 from op3.common.settings import nearest
 from op3.common.wandb_settings import WandbSettings
+from op3.common.writing import write_text
 from op3.robot import DEFAULT
-from op3.rollout.files import write_text
 
 if TYPE_CHECKING:
     from op3.motions import Motion

@@ -305,7 +305,7 @@ def search(
         whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
             if (mine := form == number).any():
-                cost[mine] = _robust(reduction.at(option, whole[mine], stretch), reduction.limbs).sum(0)
+                cost[mine] = robust(reduction.at(option, whole[mine], stretch), reduction.limbs).sum(0)
         return cost + coordinates.penalties(whole), whole, form
 
     strategy = CatCMA(
@@ -326,7 +326,7 @@ def search(
     return options[best[2]], best[1]
 
 
-def _robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
+def robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
     """Cost of whitened errors by limb, ``[limb, set]``: what a joint misses altogether in a window counts once, so that
     one bad joint does not decide what all share."""
     costs = []
@@ -355,7 +355,7 @@ def apart(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> 
         for joint in joints:
             for row, (name, factor) in enumerate(tried, 1):
                 points[row, numbers[joint][name]] = alone[joint][row, numbers[joint][name]] = factor - 1.0
-        costs = _robust(reduction.at(coordinates, points), reduction.limbs)
+        costs = robust(reduction.at(coordinates, points), reduction.limbs)
         for joint in joints:  # limbs do not feel each other
             best = int((costs[reduction.limb_of[joint]] + coordinates.penalties(alone[joint])).argmin())
             point = np.where(alone[joint][best] != alone[joint][0], alone[joint][best], point)

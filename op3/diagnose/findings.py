@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, settle, thin_windows
+from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, robust, settle, thin_windows
 from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.doubts import at_bound, opened
 from op3.diagnose.held_out import Gain, HeldOut, HeldOutScore
 from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, Variances, log_mass
 from op3.diagnose.judge_settings import SETTINGS, Settings
-from op3.diagnose.reduction import Reduction
+from op3.diagnose.reduction import COARSE, Reduction
 from op3.diagnose.relevance import Relevance, relevance
 
 MOST = 3
@@ -27,6 +27,9 @@ RELINEARISED = 60
 
 ALIKE = 0.7
 """Correlation over runs and joints from which on two gains are gains on the same."""
+
+SIZES = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
+"""Shares of the largest plausible size, and of the least, from which a refit may begin."""
 
 NOTHING = 1e-6
 """Torque below which a candidate does nothing here [units]."""
@@ -435,8 +438,7 @@ class Search:
         for one in proposals:
             joined = self._joined(stage, one.number, one.share)
             moved = np.clip(point + one.step, coordinates.low, coordinates.high)
-            start = np.concatenate([moved, joined.start[len(point) :]])
-            end = compared(one.number, refit(joined, start, one.state), without)
+            end = compared(one.number, refit(joined, self._begun(joined, (moved, point)), one.state), without)
             place = stage.found[one.number].place
             best[place] = max(end, best.get(place, end), key=lambda one: one.log_odds)
         # where joints stick the way is long; and what lets a poor base move on has no merit in what that gains
@@ -450,6 +452,19 @@ class Search:
                 end = refit(one.base.coordinates, one.base.point, one.base.fit.state, ELSEWHERE)
                 best[stage.found[one.number].place] = compared(one.number, end, without)
         return sorted(best.values(), key=lambda one: -one.log_odds), back.base
+
+    def _begun(self, joined: Coordinates, points: Sequence[np.ndarray]) -> np.ndarray:
+        """Where a refit begins: with the base at one of some points, and the effect at its linear size or any that is
+        plausible, whichever predicts a third of the windows best.
+
+        Where a large fault makes a joint stick, or the base has taken it for noise, nothing linear says its size.
+        """
+        size, shape = joined.entries[len(points[0])], joined.start[len(points[0]) + 1 :]
+        sizes = [size.start, *(end * share for end in (size.low, size.high) for share in SIZES)]
+        starts = np.array([np.concatenate([at, [value], shape]) for at in points for value in sizes])
+        costs = robust(self.thin.at(joined, starts, COARSE), self.thin.limbs).sum(0) + joined.penalties(starts)
+        self.thin.forget()
+        return starts[int(costs.argmin())]
 
     def _around(self, stage: NamingStage, base: Baseline, named: tuple[Named, ...]) -> NamingStage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
