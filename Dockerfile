@@ -12,7 +12,7 @@ COPY conf conf
 COPY assets assets
 RUN pip install --no-cache-dir --index-url https://download.pytorch.org/whl/cpu --extra-index-url https://pypi.org/simple \
         -c constraints.txt torch \
-    && pip install --no-cache-dir -c constraints.txt .
+    && pip install --no-cache-dir -c constraints.txt '.[stand-in,video]'
 ENV MUJOCO_GL=osmesa
 WORKDIR /work
 ENTRYPOINT ["op3"]

@@ -12,7 +12,7 @@ $(VENV)/.program: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 11) <= sys.version_info[:2] < (3, 13) else "op3 needs Python 3.11 or 3.12: make $(or $(MAKECMDGOALS),install) PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[stand-in,video]'
 	touch $@
 
 $(VENV)/.installed: $(VENV)/.program
@@ -41,7 +41,7 @@ docs: install
 wheel-test:
 	rm -rf build/wheel-test dist && $(PYTHON) -m venv build/wheel-test
 	build/wheel-test/bin/pip wheel --quiet --no-deps --wheel-dir dist .
-	build/wheel-test/bin/pip install --quiet -c constraints.txt dist/*.whl
+	build/wheel-test/bin/pip install --quiet -c constraints.txt "$$(ls dist/*.whl)[stand-in,video]"
 	cd build/wheel-test && bin/op3 --version && bin/op3 doctor
 	cd build/wheel-test && bin/op3 evaluate policy=assets/policies/balance task=balance_eval episodes=1 video=false
 	cd build/wheel-test && bin/op3 demo diagnose windows=12

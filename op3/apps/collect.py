@@ -28,7 +28,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on
 from op3.apps.progress import ProgressLine
 from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
 from op3.common.settings import read_yaml
@@ -102,11 +102,7 @@ def collect(
         ValueError: if something given is impossible; one sentence says what and how to fix it.
         op3.deploy.Stop: if a robot on a bus ends the recording.
     """
-    given = overrides_of(
-        motion=motion, source=source, robot=robot, policy=policy, task=task, plan=plan, mount=mount, world=world,
-        world_seed=world_seed, model=model, port=port, repeats=repeats, seed=seed,
-    )  # fmt: skip
-    with configured("collect", [*given, *overrides], folder) as cfg:
+    with configured("collect", **locals()) as cfg:
         return run(cfg)
 
 

@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.support import output_folder, provenance, reported
 from op3.compliance.compare import difference
 from op3.compliance.compliance_study import Sizes, Study, contestants
@@ -46,8 +46,7 @@ def compliance(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(policy=policy, model=model, seed=seed)
-    with configured("compliance", [*given, *overrides], folder) as cfg:
+    with configured("compliance", **locals()) as cfg:
         return main(cfg)
 
 

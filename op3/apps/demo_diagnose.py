@@ -1,6 +1,6 @@
 """Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: two minutes.
 
-python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [robot=leg|pendulum|op3|arm]
+python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [hidden_robot=leg|pendulum|op3|arm]
 
 The robot's physics is not the project's own, and its answer is sealed before the diagnosis begins and read after it has
 ended.
@@ -43,7 +43,7 @@ def hidden(answer: Mapping[str, Any]) -> str:
     texts = []
     for effect in answer["effects"]:
         kind = KINDS[effect["name"]]
-        size = f"{kind.parameter or kind.meaning} {kind.told(effect['size']):.3g}"
+        size = f"{kind.parameter or kind.meaning} {kind.catalogue_size(effect['size']):.3g}"
         texts.append(f"{effect['name']} in {where(effect['joints'], effect['shared'])} ({size})")
     return "; ".join(texts)
 
@@ -81,7 +81,7 @@ def main(cfg: DictConfig) -> CommandResult:
     torch.set_num_threads(1)
     threadpool_limits(1)
     folder = output_folder()
-    case = draw_case(cfg.seed, "single", cfg.severity, cfg.effect, robot=cfg.robot)
+    case = draw_case(cfg.seed, "single", cfg.severity, cfg.effect, robot=cfg.hidden_robot)
     sealed = commit([case], folder / "answers")
     digest = hashlib.sha256(sealed.read_bytes()).hexdigest()
     print(f"A robot with something hidden; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)

@@ -16,7 +16,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.support import output_folder, seeded_faults
 from op3.deploy import (
     Connection,
@@ -89,11 +89,7 @@ def deploy(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(
-        policy=policy, port=port, robot=robot, mode=mode, duration=duration, world=world, model=model, confirm=confirm,
-        seed=seed,
-    )  # fmt: skip
-    with configured("deploy", [*given, *overrides], folder) as cfg:
+    with configured("deploy", **locals()) as cfg:
         code = carry_out(cfg)
         return Deployed(output_folder(), f"The run ended with {code.name} ({int(code)}).", code=code)
 

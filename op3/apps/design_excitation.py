@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, positive
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.support import library_motion, output_folder, provenance, reported
 from op3.common.assets import motion_names
 from op3.identify.design import PlannedRecording, check_choice, choose, information
@@ -68,10 +68,7 @@ def design(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(
-        groups=groups, seconds=seconds, wanted=wanted, model=model, robot=robot, mounts=mounts, motions=motions
-    )
-    with configured("design_excitation", [*given, *overrides], folder) as cfg:
+    with configured("design_excitation", **locals()) as cfg:
         return main(cfg)
 
 

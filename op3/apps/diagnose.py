@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain, whole
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.progress import ProgressLine
 from op3.apps.support import library_motion, output_folder, reported, run_folder
 from op3.diagnose import (
@@ -97,11 +97,7 @@ def diagnose(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(
-        data=data, model=model, robot=robot, mode=mode, without=list(without), policy=policy, task=task,
-        actual=actual, episodes=episodes, seed=seed, wandb=wandb,
-    )  # fmt: skip
-    with configured("diagnose", [*given, *overrides], folder) as cfg:
+    with configured("diagnose", **locals()) as cfg:
         return main(cfg)
 
 

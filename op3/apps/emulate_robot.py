@@ -18,7 +18,7 @@ from op3.apps.job import one_sentence
 from op3.apps.support import seeded_faults
 from op3.deploy.emulated import physics_maker
 from op3.deploy.emulator import EmulatedRobot, LineTiming, PtyServer
-from op3.deploy.operator import told
+from op3.deploy.operator import quietly
 from op3.robot import load_robot
 
 WATCH_EVERY = 0.5
@@ -86,7 +86,7 @@ def watch(server: PtyServer, duration: float | None, say: Callable[[str], None])
 
 def main(cfg: DictConfig) -> None:
     """Build the robot and serve it."""
-    ending, say = Ending(), told(lambda text: print(text, flush=True))
+    ending, say = Ending(), quietly(lambda text: print(text, flush=True))
     with one_sentence():
         whole(cfg, "baud", 1)
         if cfg.duration is not None:

@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, whole
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder, provenance, reported, run_folder
 from op3.common.assets import here_or_shipped
@@ -88,10 +88,7 @@ def evaluate(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(
-        policy=policy, task=task, model=model, robot=robot, episodes=episodes, baseline=baseline, seed=seed, wandb=wandb
-    )
-    with configured("evaluate", [*given, *overrides], folder) as cfg:
+    with configured("evaluate", **locals()) as cfg:
         return main(cfg)
 
 

@@ -19,7 +19,7 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on
 from op3.apps.support import focus_joints, logs_where, output_folder, reported, run_folder
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
@@ -82,10 +82,7 @@ def identify(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    values = {"heldout": heldout, "model": model, "robot": robot, "groups": groups, "effect": list(effects) or None}
-    values |= {"hydra.sweeper.n_trials": trials, "ablate": ablate, "method": method, "seed": seed, "wandb": wandb}
-    given = overrides_of(data=data, **values)
-    with configured("identify", [*given, *overrides], folder) as cfg:
+    with configured("identify", **locals()) as cfg:
         return main(cfg)
 
 

@@ -18,7 +18,7 @@ from op3.common.private import masked
 from op3.common.settings import parse_yaml
 from op3.common.writing import write_text
 from op3.rollout import LogError, Rollout
-from op3.rollout.health import ERROR, examine, told_together
+from op3.rollout.health import ERROR, examine, merge_findings
 from op3.rollout.importing import OPTIONS, read_side, side_path
 from op3.rollout.proposal import as_yaml, propose
 from op3.rollout.read import expand, read_episodes
@@ -54,7 +54,7 @@ def show(log: Rollout, name: str) -> bool:
     print(f"{name}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
     print(f"joints {', '.join(log.joints)}\nchannels {names}")
     findings = [*log.findings, *examine(log)]
-    for finding in told_together(findings):
+    for finding in merge_findings(findings):
         print("\n".join(f"  {name}: {value}" for name, value in finding.row().items() if value), end="\n\n")
     if not findings:
         print("the checks find nothing wrong")

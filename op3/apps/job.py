@@ -90,15 +90,29 @@ def goes_on(done: str) -> str:
     return f"The same command with the same hydra.run.dir goes on from the {done} done."
 
 
+SETTINGS_OF = {
+    "diagnosed": "diagnose",
+    "effects": "effect",
+    "steps": "train.steps",
+    "trials": "hydra.sweeper.n_trials",
+}
+"""Settings whose argument in Python has another name."""
+
+
 @contextmanager
-def configured(app: str, overrides: Sequence[str], folder: str | Path | None) -> Iterator[DictConfig]:
+def configured(
+    app: str, *, overrides: Sequence[str] = (), folder: str | Path | None = None, **arguments: Any
+) -> Iterator[DictConfig]:
     """The config of a command as Hydra would give it, for a call from Python.
 
     Args:
         app: module in `op3.apps`, whose config has the same name.
-        overrides: as on the command line.
+        overrides: as on the command line; they come after the arguments.
         folder: of the run; None: a new temporary one.
+        arguments: settings by name, or by the shorter one of `SETTINGS_OF`; None leaves the config's default.
     """
+    given = {SETTINGS_OF.get(name, name): value for name, value in arguments.items() if value is not None}
+    overrides = [*(override(name, value) for name, value in given.items()), *overrides]
     folder = Path(mkdtemp(prefix=f"op3-{app}-") if folder is None else folder).absolute()
     places = [override("hydra.run.dir", folder), override("hydra.runtime.output_dir", folder)]
     folder.mkdir(parents=True, exist_ok=True)
@@ -141,11 +155,6 @@ def check_first_job(app: str, overrides: Sequence[str]) -> None:
 def override(name: str, value: Any) -> str:
     """An override that sets a field or chooses from a group, in Hydra's grammar."""
     return f"{name}={_written(value)}"
-
-
-def overrides_of(**values: Any) -> list[str]:
-    """Overrides of the values that are given, which are not None."""
-    return [override(name, value) for name, value in values.items() if value is not None]
 
 
 def _written(value: Any) -> str:

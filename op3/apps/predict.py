@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import check_given, plain
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.support import focus_joints, logs_where, reported, run_folder
 from op3.identify.prediction_score import PredictionScore, predict_logs
 from op3.report.prediction_page import report_prediction
@@ -60,8 +60,7 @@ def predict(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(data=data, model=model, robot=robot, where=where, joints=joints, seed=seed, wandb=wandb)
-    with configured("predict", given, folder) as cfg:
+    with configured("predict", **locals()) as cfg:
         return main(cfg)
 
 

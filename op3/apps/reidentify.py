@@ -21,7 +21,7 @@ from omegaconf import DictConfig
 from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
 from op3.apps.fields import plain
-from op3.apps.job import configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on
 from op3.apps.stages import Stages
 from op3.apps.support import output_folder, reported, run_folder
 from op3.identify.identification import PREFIX
@@ -82,11 +82,7 @@ def reidentify(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(
-        policy=policy, model=model, data=data, episodes=episodes, task=task, groups=groups,
-        diagnose=diagnosed or None, start_name=start_name, seed=seed, wandb=wandb,
-    )  # fmt: skip
-    with configured("reidentify", [*given, *overrides], folder) as cfg:
+    with configured("reidentify", **locals()) as cfg:
         return main(cfg)
 
 

@@ -23,7 +23,7 @@ from op3.apps.diagnose import diagnose
 from op3.apps.evaluate import evaluate
 from op3.apps.fields import plain, positive
 from op3.apps.identify import identify
-from op3.apps.job import configured, goes_on, overrides_of
+from op3.apps.job import configured, goes_on
 from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
 from op3.apps.support import ASKED, check_same, library_motion, output_folder, provenance, remember
@@ -93,11 +93,7 @@ def sim2real(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    given = overrides_of(
-        task=task, source=source, world=world, port=port, condition=condition, budget=budget, policy=policy,
-        rounds=rounds, seed=seed,
-    )  # fmt: skip
-    with configured("sim2real", [*given, *overrides], folder) as cfg:
+    with configured("sim2real", **locals()) as cfg:
         return main(cfg)
 
 

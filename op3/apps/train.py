@@ -22,7 +22,7 @@ from torchrl.envs import EnvBase
 
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, whole
-from op3.apps.job import configured, overrides_of
+from op3.apps.job import configured
 from op3.apps.sentences import no_such
 from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported, wandb_of
 from op3.common.assets import named_configs
@@ -110,9 +110,8 @@ def train(
     Raises:
         ValueError: if something given is impossible; one sentence says what and how to fix it.
     """
-    choices = {"model": model, "robot": robot, "algorithm": algorithm, "budget": budget, "train.steps": steps}
-    choices |= {"environments": environments, "warm_start": warm_start, "resume": resume, "seed": seed, "wandb": wandb}
-    with configured("train", [*overrides_of(task=task, **choices), *overrides], resume or folder) as cfg:
+    folder = resume or folder
+    with configured("train", **locals()) as cfg:
         return main(cfg)
 
 

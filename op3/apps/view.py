@@ -30,7 +30,7 @@ from op3.policy.bundle import MANIFEST, PolicyBundle
 from op3.policy.card import find_card
 from op3.replay import Replay, simulate_motion
 from op3.report.frames import RenderError
-from op3.report.live import stretches, told
+from op3.report.live import stretches, summary_line
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
 from op3.report.viewer import RATE, pictures, window
@@ -129,7 +129,7 @@ def watch(cfg: DictConfig, out: Path) -> None:
         return
     seen = []
     for tracks in filter(None, coming):
-        print(told(tracks), flush=True)
+        print(summary_line(tracks), flush=True)
         seen.append(tracks)
     if not seen:
         raise ValueError(f"what={cfg.what}: no log began there; start op3 deploy with hydra.run.dir={cfg.what}")

@@ -265,11 +265,11 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(node.v
 _Loader.add_constructor("tag:yaml.org,2002:map", _Loader.construct_once)
 
 
-def _told(problem: str, remedy: str, *, source: object, column: str | None = None) -> Exception:
+def _yaml_error(problem: str, remedy: str, *, source: object, column: str | None = None) -> Exception:
     return ValueError(f"{source}{f', {column}' if column else ''}: {problem}; {remedy}")
 
 
-def read_yaml(path: str | Path, raises: Callable[..., Exception] = _told) -> dict[str, Any]:
+def read_yaml(path: str | Path, raises: Callable[..., Exception] = _yaml_error) -> dict[str, Any]:
     """The mapping in a YAML file.
 
     Args:
@@ -293,7 +293,7 @@ def read_yaml(path: str | Path, raises: Callable[..., Exception] = _told) -> dic
     return parse_yaml(text, path, raises)
 
 
-def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] = _told) -> dict[str, Any]:
+def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] = _yaml_error) -> dict[str, Any]:
     """The mapping that a YAML text holds; errors as those of `read_yaml`, with `source` named."""
     try:
         values = yaml.load(text, Loader=_Loader)

@@ -60,7 +60,7 @@ class Console(Operator):
             termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
-def told(report: Callable[[str], None]) -> Callable[[str], None]:
+def quietly(report: Callable[[str], None]) -> Callable[[str], None]:
     """A report that does not fail where the terminal is gone: switching off matters more than saying so."""
 
     def say(text: str) -> None:

@@ -28,7 +28,7 @@ from op3.deploy.dynamixel_bus import (
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
 from op3.deploy.monitors import Monitor, MonitorResult
-from op3.deploy.operator import told
+from op3.deploy.operator import quietly
 from op3.deploy.registers import CURRENT_MODE, WATCHDOG_UNIT
 from op3.deploy.robot_state import RobotState
 from op3.deploy.start_checks import StartChecks
@@ -94,7 +94,7 @@ class Onlooker:
 
     def __init__(self, bus: Bus, limits: Limits | None = None, report: Callable[[str], None] = print):
         self.bus, self.limits, self._joints = bus, limits or Limits(), bus.joints
-        self._report = told(report)
+        self._report = quietly(report)
 
     @property
     def load(self) -> NDArray[np.float64]:
@@ -115,7 +115,7 @@ class Onlooker:
         """Switch torque on."""
 
     def assess(self, tick: Tick, state: RobotState) -> MonitorResult:
-        """Judge a reading: here everything is allowed, since nothing is done; losses are told."""
+        """Judge a reading: here everything is allowed, since nothing is done; losses are reported."""
         silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
         return MonitorResult(note=f"no answer from {', '.join(silent)}" if silent else "")
 

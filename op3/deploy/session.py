@@ -24,7 +24,7 @@ from op3.deploy.dynamixel_bus import Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
 from op3.deploy.monitors import MonitorResult
-from op3.deploy.operator import Operator, told
+from op3.deploy.operator import Operator, quietly
 from op3.deploy.phases import Phase
 from op3.deploy.robot_state import RobotState
 from op3.deploy.safety import Onlooker, Release
@@ -165,7 +165,7 @@ class Session:
         report: Callable[[str], None] = print,
     ):
         self._bus, self._safety, self._operator = bus, safety, operator
-        self._logs, self._show, self._report = logs, show, told(report)
+        self._logs, self._show, self._report = logs, show, quietly(report)
         self._signals = StopSignals()
         self._release: Release | None = None
         self._ticker: Ticker | None = None

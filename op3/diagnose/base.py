@@ -94,7 +94,7 @@ class Baseline:
         return replace(numbers, mean=np.where(held, 0.0, numbers.mean), deviation=deviation)
 
     @property
-    def told(self) -> np.ndarray:
+    def deviations(self) -> np.ndarray:
         """Standard deviations of its numbers, ``[coordinate]``."""
         return np.sqrt(np.diag(self.fit.covariance))
 
@@ -160,7 +160,7 @@ def fit_base(
     first, ranked = _ranked(reduction, finals, settings)
     progress(0.9)
     others = tuple(replace(end, gain=end.gain - ranked[0].gain) for end in ranked[1:])
-    own, point = with_own_spread(first.coordinates, first.point, first.told, settings)
+    own, point = with_own_spread(first.coordinates, first.point, first.deviations, settings)
     free = settle(reduction, own, point, settings, state=first.fit.state)
     return replace(as_usual(reduction, free, settings), others=others)
 

@@ -1,4 +1,4 @@
-"""NSGA-II that is told where to look: along the level set of one objective, for what lowers the other.
+"""NSGA-II that starts along the level set of one objective, where the other is lowered.
 
 Re-identification has two objectives of different kinds. The excitation loss is the squared length of a residual that
 changes almost linearly with the parameters, so where it stays low is an ellipsoid, long and thin, at an angle to all
@@ -70,7 +70,7 @@ APART = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class Observed:
     """What finished trials say of themselves.
 
     Attributes:
@@ -123,14 +123,14 @@ class LevelSetSampler(NSGAIISampler):
         ranges = {name: d for name, d in search_space.items() if isinstance(d, FloatDistribution) and not d.log}
         if not ranges or len(ranges) < len(search_space):
             return []
-        told = _told(trials, _box(ranges))
-        if told is None:
+        observed = _observed(trials, _box(ranges))
+        if observed is None:
             return []
         nominal = [t.values[0] for t in trials if t.state == TrialState.COMPLETE and t.user_attrs.get("nominal")]
-        limit = self._tolerated * (nominal[0] if nominal else float(told.losses.min()))
-        if told.near(limit).sum() < ENOUGH * len(ranges):
+        limit = self._tolerated * (nominal[0] if nominal else float(observed.losses.min()))
+        if observed.near(limit).sum() < ENOUGH * len(ranges):
             return []
-        points = propose(told, limit, self._count, self._random)
+        points = propose(observed, limit, self._count, self._random)
         box, high = _box(ranges), np.array([d.high for d in ranges.values()])
         values = np.minimum(box.low + points * box.span, high)  # rounding must not lead beyond a range
         return [dict(zip(ranges, row, strict=True)) for row in values.tolist()]
@@ -160,7 +160,7 @@ def _box(ranges: Mapping[str, FloatDistribution]) -> Box:
     return Box.of({name: (d.low, max(d.high, d.low + 1e-300)) for name, d in ranges.items()})
 
 
-def _told(trials: Sequence[FrozenTrial], box: Box) -> Told | None:
+def _observed(trials: Sequence[FrozenTrial], box: Box) -> Observed | None:
     known = [
         t
         for t in trials
@@ -169,7 +169,7 @@ def _told(trials: Sequence[FrozenTrial], box: Box) -> Told | None:
     if not known:
         return None
     length = max(len(t.user_attrs.get(MISFIT, ())) for t in known)
-    return Told(
+    return Observed(
         np.array([box.unit(t.params) for t in known]),
         np.array([t.values[0] for t in known]),
         np.array([t.user_attrs[IMAGE] for t in known], dtype=np.float64),
@@ -179,21 +179,21 @@ def _told(trials: Sequence[FrozenTrial], box: Box) -> Told | None:
     )
 
 
-def propose(told: Told, limit: float, count: int, rng: np.random.Generator) -> Array:
+def propose(observed: Observed, limit: float, count: int, rng: np.random.Generator) -> Array:
     """At most so many points at which the first objective is expected below a limit, and the second to be low.
 
     They are ``[point, parameter]``, in the unit box.
     """
-    foreseen = _Losses(told)
+    foreseen = _Losses(observed)
     rise = max(limit / foreseen.lowest_loss - 1.0, 1e-3)
     drawn = [foreseen.draw(share * rise, rng) for share in RISES]
     pool = np.concatenate(drawn)
-    whole = told.near(limit)
-    order = np.flatnonzero(whole)[np.argsort(np.square(told.misfits[whole]).sum(1), kind="stable")]
-    returns = Surrogate(told.points[order[:LEARNED]], told.misfits[order[:LEARNED]])
+    whole = observed.near(limit)
+    order = np.flatnonzero(whole)[np.argsort(np.square(observed.misfits[whole]).sum(1), kind="stable")]
+    returns = Surrogate(observed.points[order[:LEARNED]], observed.misfits[order[:LEARNED]])
     # along what the level set leaves free, as far as two of its points are apart
-    within = order[told.losses[order] <= limit]
-    begin = told.points[(within if len(within) else order)[:BEST]]
+    within = order[observed.losses[order] <= limit]
+    begin = observed.points[(within if len(within) else order)[:BEST]]
     across = pool[rng.integers(0, len(pool), LEAPS)] - pool[rng.integers(0, len(pool), LEAPS)]
     steps = begin[rng.integers(0, len(begin), LEAPS)] + across * rng.uniform(*STEPS, LEAPS)[:, None]
     pool = np.concatenate([pool, steps])
@@ -217,13 +217,14 @@ def propose(told: Told, limit: float, count: int, rng: np.random.Generator) -> A
 class _Losses:
     """Foresees the first objective: the expected square of the image, times what images have been off by nearby."""
 
-    def __init__(self, told: Told):
-        order = np.argsort(told.losses, kind="stable")[:LEARNED]
-        points, images, squares = told.points[order], told.images[order], np.square(told.images[order]).sum(1)
-        self.lowest_loss = float(told.losses[order[0]])
+    def __init__(self, observed: Observed):
+        order = np.argsort(observed.losses, kind="stable")[:LEARNED]
+        points, images = observed.points[order], observed.images[order]
+        squares = np.square(images).sum(1)
+        self.lowest_loss = float(observed.losses[order[0]])
         self._lowest, self._image_loss = points[0], float(squares[0])
         self._images = Surrogate(points, images)
-        self._off = np.log(told.losses[order]) - np.log(squares)
+        self._off = np.log(observed.losses[order]) - np.log(squares)
         self._correction = Surrogate(points, self._off[:, None])
 
     def at(self, points: Array) -> Array:

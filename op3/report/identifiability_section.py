@@ -10,12 +10,12 @@ from op3.report.tables import TableRows, number
 
 
 def verdicts(known: Identifiability) -> dict[str, list[str]]:
-    """Parameters by what the logs tell of them: ``identifiable``, ``at its bound`` or ``not told``."""
-    told: dict[str, list[str]] = {"identifiable": [], "at its bound": [], "not told": []}
+    """Parameters by what the logs identify: ``identifiable``, ``at its bound`` or ``not identifiable``."""
+    sorted_names: dict[str, list[str]] = {"identifiable": [], "at its bound": [], "not identifiable": []}
     for name in known.names:
-        bound = name in known.at_bound
-        told["at its bound" if bound else "identifiable" if known.identifiable[name] else "not told"].append(name)
-    return told
+        verdict = "identifiable" if known.identifiable[name] else "not identifiable"
+        sorted_names["at its bound" if name in known.at_bound else verdict].append(name)
+    return sorted_names
 
 
 def widths_table(known: Identifiability) -> TableRows:

@@ -88,7 +88,7 @@ def abstained(fit: Fit) -> str:
     if fit.identifiability is None:
         return ""
     told = verdicts(fit.identifiability)
-    bound, unidentifiable = told["at its bound"], told["not told"]
+    bound, unidentifiable = told["at its bound"], told["not identifiable"]
     said = f" At the bound of its range: {', '.join(map(words, bound))}." if bound else ""
     if unidentifiable:
         said += f" Not identifiable from these logs: {', '.join(map(words, unidentifiable))}."

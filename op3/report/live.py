@@ -109,7 +109,7 @@ def _tracks(log: Rollout, begin: float, end: float, model: RobotModel | str | No
     return Tracks(logs, scene)
 
 
-def told(tracks: Tracks) -> str:
+def summary_line(tracks: Tracks) -> str:
     """A stretch in a line: its time, the joint that differs most, and how far all of them are apart."""
     measured, *ghosts = tracks.logs.values()
     joint, seconds = tracks.joint(), float(measured.array("time")[-1, 0])

@@ -12,7 +12,7 @@ from op3.report.panels import Panel, panels_figure
 from op3.report.style import COMMAND, MEASURED, words
 from op3.report.tables import TableRows
 from op3.rollout import CHANNELS, Rollout
-from op3.rollout.health import told_together
+from op3.rollout.health import merge_findings
 from op3.rollout.schema import Key, key_name, normal_key
 
 Channels = Prediction | Mapping[Any, Any]
@@ -116,7 +116,7 @@ def bench_figures(
 
 def checks_table(logs: Iterable[Rollout]) -> TableRows:
     """What the checks found in logs, a row per finding."""
-    found = [{"log": run_name(log), **finding.row()} for log in logs for finding in told_together(log.findings)]
+    found = [{"log": run_name(log), **finding.row()} for log in logs for finding in merge_findings(log.findings)]
     rows = list(dict.fromkeys(tuple(one.values()) for one in found))
     return (list(found[0]), rows) if found else ([], [])
 

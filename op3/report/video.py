@@ -65,7 +65,10 @@ def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float, qu
 
 
 def _write_mp4(pictures: Iterable[np.ndarray], path: Path, rate: Fraction) -> None:
-    import av  # half a second that other uses need not pay
+    try:
+        import av  # half a second that other uses need not pay
+    except ImportError:
+        raise RenderError("an mp4 needs the package av: pip install 'op3[video]', or write a .webp") from None
 
     stream: Any = None
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:

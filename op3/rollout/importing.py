@@ -137,7 +137,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
             arrays = _arrays(chosen, metadata, recording.strict, side)
             known = {*side.options.columns, *(f"field {name}" for name in side.metadata)}
             unread = [one for one in recording.doubts if one.column not in known]
-            unread += _unread(arrays, metadata.joints) + _unshared(time, streams) + _told(guessed)
+            unread += _unread(arrays, metadata.joints) + _unshared(time, streams) + _guess_warning(guessed)
             log = Rollout.from_arrays({"time": time[part], **arrays}, metadata, path)
             logs.append(log.with_findings(unread))
     return logs
@@ -153,7 +153,7 @@ def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
     return guess_all(names, list(map(str, joints)))
 
 
-def _told(guessed: Mapping[str, Column]) -> list[LogFinding]:
+def _guess_warning(guessed: Mapping[str, Column]) -> list[LogFinding]:
     """A warning that names alone say what columns are."""
     read = [f"{name} as {column.name}" for name, column in guessed.items() if column.name]
     problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: names of columns were guessed"

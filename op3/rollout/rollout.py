@@ -216,11 +216,11 @@ class Rollout:
             `measured`. Where no joint's is left, the channel is gone.
         """
         # the checks look at rollouts, so they import this module
-        from op3.rollout.health import ERROR, examine, told_together
+        from op3.rollout.health import ERROR, examine, merge_findings
 
         source = source or self.metadata.recording
         findings = examine(self)
-        for finding in told_together([*self.findings, *findings]):  # the former are the reader's
+        for finding in merge_findings([*self.findings, *findings]):  # the former are the reader's
             where = said if said and str(finding.column).startswith("field ") else source
             if finding.severity == ERROR:
                 raise finding.error(where)

@@ -7,7 +7,6 @@ from op3.servo.effect import (
     Parameter,
     Scope,
     Stage,
-    Trunk,
     Usual,
     catalogue,
     effect_class,
@@ -16,6 +15,7 @@ from op3.servo.effect import (
 )
 from op3.servo.robot_model import Estimate, RobotModel
 from op3.servo.servos import Servos, Signals
+from op3.servo.signals import Trunk
 
 __all__ = [
     "Effect",

@@ -17,8 +17,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from op3.servo.effect import SIGNALS, Effect, Periods, Stage, catalogue, type_hints
+from op3.servo.effect import Effect, Stage, catalogue, type_hints
 from op3.servo.machine_code import part
+from op3.servo.signals import SIGNALS, Periods
 
 BITS = 62
 """Effects per number that switches them."""

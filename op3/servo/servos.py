@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from op3.servo import kernel, rows
-from op3.servo.effect import SIGNALS, Effect, Periods, Trunk, in_stage_order
+from op3.servo.effect import Effect, in_stage_order
+from op3.servo.signals import SIGNALS, Periods, Trunk
 
 
 class Signals:
-    """The signals of `op3.servo.effect.SIGNALS`, and the memory of effects, as tensors ``[sim, joint]``.
+    """The signals of `op3.servo.signals.SIGNALS`, and the memory of effects, as tensors ``[sim, joint]``.
 
     An attribute is a view of what the law works on; assigning to one writes there, broadcast.
 

@@ -13,13 +13,17 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-import pinocchio
 from numpy.typing import NDArray
 
 from op3.robot.kinematics import rotation_matrix
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK, step_limbs, step_servos
+
+try:
+    import pinocchio
+except ImportError:
+    raise ValueError("stand-ins and emulated robots need the package pin: pip install 'op3[stand-in]'") from None
 
 Array = NDArray[np.float64]
 

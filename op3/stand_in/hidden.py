@@ -31,8 +31,8 @@ class Kind:
     outsider: bool = False
     parameter: str = ""
 
-    def told(self, size: float) -> float:
-        """A size as the catalogue tells it: that of a gear by its efficiency."""
+    def catalogue_size(self, size: float) -> float:
+        """A size in the terms of the catalogue: that of a gear is its efficiency."""
         return 1 / (1 + size) if self.parameter == "backward_efficiency" else size
 
 

@@ -146,7 +146,7 @@ def truth_of(answer: Mapping[str, Any]) -> tuple[BenchFinding, ...]:
         BenchFinding(
             effect["name"],
             () if effect["shared"] else tuple(sorted(effect["joints"])),
-            size=KINDS[effect["name"]].told(float(effect["size"])),
+            size=KINDS[effect["name"]].catalogue_size(float(effect["size"])),
         )
         for effect in answer["effects"]
     )

@@ -172,7 +172,7 @@ class Reidentification:
             if not np.isfinite(one.excitation):
                 outcomes.append(TrialOutcome(None, error="diverged"))
                 continue
-            attributes: dict[str, object] = {"episodes": len(one.returns), **one.told}
+            attributes: dict[str, object] = {"episodes": len(one.returns), **one.attributes}
             if len(one.returns) == self.episodes:
                 attributes["returns"] = list(one.returns)
             elif not one.returns:
@@ -229,15 +229,15 @@ class Reidentification:
         measured = []
         for i, trial in enumerate(trials):
             loss, own = float(losses[i]), played.get(i)
-            told = {IMAGE: _short(images[i])}
+            attributes = {IMAGE: _short(images[i])}
             if own is None:
-                measured.append(ParetoPoint(trial, loss, worthless, told=told))
+                measured.append(ParetoPoint(trial, loss, worthless, attributes=attributes))
             elif not np.isfinite(own).all():
                 measured.append(ParetoPoint(trial, float("nan"), worthless))
             else:
                 whole = self._foresee(own)
-                told[MISFIT] = _short(quantile_misfit(whole, self.actual))
-                measured.append(ParetoPoint(trial, loss, self._distance(whole), tuple(own.tolist()), told))
+                attributes[MISFIT] = _short(quantile_misfit(whole, self.actual))
+                measured.append(ParetoPoint(trial, loss, self._distance(whole), tuple(own.tolist()), attributes))
         return measured
 
     def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:

@@ -24,14 +24,14 @@ class ParetoPoint:
         excitation: loss of the excitation, paper eq. (7).
         distance: Wasserstein-1 distance of the returns.
         returns: of the policy in simulation.
-        told: what a sampler may learn from, see `op3.identify.level_set_sampler`.
+        attributes: what a sampler may learn from, see `op3.identify.level_set_sampler`.
     """
 
     values: Mapping[str, float]
     excitation: float
     distance: float
     returns: Sequence[float] = field(default_factory=tuple)
-    told: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    attributes: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,7 +154,7 @@ def test_one_bad_servo_does_not_move_what_all_share(truth):
     usual = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
     free = any_spread(usual, 4.0)
     base = settle(reduction, free, apart(reduction, free, usual.start))
-    base = settle(reduction, *with_own_spread(free, base.point, base.told, Settings()))
+    base = settle(reduction, *with_own_spread(free, base.point, base.deviations, Settings()))
     sound = as_usual(reduction, base)
     friction = {"free": base, "sound": sound}
     found = {name: one.coordinates.values(one.point[None])["coulomb_friction"][0] for name, one in friction.items()}

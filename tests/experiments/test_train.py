@@ -37,7 +37,7 @@ TINY = [
 
 def in_process(name: str, overrides: list[str], folder: Path) -> CommandResult:
     """A command's run in this process, which spares the seconds that a new one takes to import."""
-    with configured(name, overrides, folder) as cfg:
+    with configured(name, overrides=overrides, folder=folder) as cfg:
         return import_module(f"op3.apps.{name}").main(cfg)
 
 

@@ -80,10 +80,11 @@ def test_a_line_tells_the_joint_that_differs_most(log):
     """A ghost whose left knee is 0.2 rad ahead, of twenty joints: 10 mrad in the mean."""
     knee, ahead = log.joints.index("l_knee"), {key: log.array(key).copy() for key in log.channels}
     ahead["joint", "position"][:, knee] += 0.2
-    told = live.told(Tracks({"measured": log, "simulated": Rollout.from_arrays(ahead, log.metadata)}, scene_of(log)))
+    logs = {"measured": log, "simulated": Rollout.from_arrays(ahead, log.metadata)}
+    line = live.summary_line(Tracks(logs, scene_of(log)))
     angle = np.degrees(log.array("joint/position")[-1, knee])
-    assert f"left knee: measured {angle:.1f} deg, simulated {angle + np.degrees(0.2):.1f} deg" in told
-    assert told.endswith("all joints 10.0 mrad apart")
+    assert f"left knee: measured {angle:.1f} deg, simulated {angle + np.degrees(0.2):.1f} deg" in line
+    assert line.endswith("all joints 10.0 mrad apart")
 
 
 def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):

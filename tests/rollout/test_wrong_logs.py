@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from op3.robot.servo_make import load_servo
 from op3.rollout import LogError, Metadata, Rollout, read_episodes, read_log
-from op3.rollout.health import examine, told_together
+from op3.rollout.health import examine, merge_findings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))
 from robots import write_robot
@@ -1321,7 +1321,7 @@ def test_what_is_alike_in_several_joints_is_told_once():
     arrays["joint", "velocity"][:, 2] = arrays["joint", "velocity"][300, 2]
     found = examine(Rollout.from_arrays(arrays, log.metadata))
     assert len(found) == 4
-    told = told_together(found)
+    told = merge_findings(found)
     assert sorted(one.column for one in told) == ["joint_0.velocity", "joint_2.velocity"]
     assert next(one for one in told if one.column == "joint_0.velocity").problem.endswith("(also in joint_1, joint_3)")
 
@@ -1340,7 +1340,7 @@ def test_joints_that_sway_together_are_not_exchanged():
     arrays["joint", "velocity"] = np.gradient(other, arrays["time"][:, 0], axis=0)
     exchanged = [one for one in examine(Rollout.from_arrays(arrays, log.metadata)) if "are swapped" in one.problem]
     assert len(exchanged) == 3
-    assert told_together(exchanged) == exchanged  # each is of another joint, though names differ in a number
+    assert merge_findings(exchanged) == exchanged  # each is of another joint, though names differ in a number
 
 
 def test_a_robot_that_stands_and_falls_has_an_orientation():
@@ -1631,7 +1631,7 @@ def test_currents_in_another_unit_are_told_once(tmp_path):
         driven(table)
         edit(".*current", lambda values: np.round(values * 1e3 / 2.69) * 2.69)(table)
 
-    (finding,) = told_together(read_log(write(tmp_path, milliamperes, joints=3)).findings)
+    (finding,) = merge_findings(read_log(write(tmp_path, milliamperes, joints=3)).findings)
     assert "as if it were in mA (also in joint_1, joint_2)" in finding.problem
 
 

@@ -9,7 +9,6 @@ from scipy import signal
 
 from op3.diagnose.coordinates import CHAIN
 from op3.servo import Effect, RobotModel, Servos, Signals, catalogue, parameter
-from op3.servo.effect import Trunk
 from op3.servo.effects import (
     AsymmetricFriction,
     Coulomb,
@@ -36,6 +35,7 @@ from op3.servo.effects import (
     Viscous,
     VoltageSag,
 )
+from op3.servo.signals import Trunk
 from tests.secants import secant_values
 
 MOTOR = {"torque_constant": 0.006, "terminal_resistance": 5.0, "armature": 0.005}

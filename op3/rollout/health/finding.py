@@ -172,8 +172,8 @@ def examine(log: Rollout) -> tuple[LogFinding, ...]:
     return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
 
 
-def told_together(findings: Sequence[LogFinding]) -> list[LogFinding]:
-    """What is found alike in several joints, told once: where it differs in its numbers only, it has one cause."""
+def merge_findings(findings: Sequence[LogFinding]) -> list[LogFinding]:
+    """One finding for those of several joints that differ in their numbers only: they have one cause."""
     alike: dict[tuple, list[LogFinding]] = {}
     for number, one in enumerate(findings):
         joint, _, channel = (one.column or "").rpartition(".")

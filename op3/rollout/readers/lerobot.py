@@ -74,7 +74,7 @@ class LeRobot:
                 problem = f"{len(names)} names stand there, and a row of {feature} has {len(cell)} numbers"
                 raise LogError(problem, "name every motor", source=path / "meta" / "info.json", column=feature)
             wide = numbers(table[feature], path / "data", feature, len(names))
-            columns |= {prefix + _told(name): wide[:, i] for i, name in enumerate(names)}
+            columns |= {prefix + _with_channel(name): wide[:, i] for i, name in enumerate(names)}
         meanings = guess_all(columns)
         doubts = _units(columns, meanings, info, path)
         fps = {"rate": float(info["fps"])} if isinstance(info.get("fps"), int | float) and info["fps"] > 0 else {}
@@ -114,7 +114,7 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
     return [f"motor_{i}.pos" for i in range(min(count, 1000))]
 
 
-def _told(name: str) -> str:
+def _with_channel(name: str) -> str:
     """The name with what is measured in it: a position where it says nothing, and no sensor of the trunk."""
     meant = guess(name)
     says = meant is not None and meant.name is not None and (not meant.name.startswith("imu") or "imu" in name.lower())

@@ -32,7 +32,7 @@ def unpacked(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _log_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except UnicodeError as error:
@@ -58,7 +58,7 @@ def _opened(path: Path) -> Any:
 
 def read_bytes(path: Path) -> bytes:
     """Contents, unpacked where they are packed."""
-    with _told(path), _opened(path) as stream:
+    with _log_errors(path), _opened(path) as stream:
         raw = stream.read(_MOST)
     if len(raw) == _MOST:
         raise LogError("the file is larger than a gigabyte", "split it", source=path)
@@ -79,7 +79,7 @@ def _encoding(beginning: bytes) -> str:
 @contextlib.contextmanager
 def open_text(path: Path) -> Iterator[Iterator[str]]:
     """Lines of a text in UTF-8, UTF-16 or UTF-32."""
-    with _told(path), _opened(path) as stream:
+    with _log_errors(path), _opened(path) as stream:
         beginning = stream.read(4)
         stream.seek(0)
         with io.TextIOWrapper(stream, encoding=_encoding(beginning), newline=None) as text:

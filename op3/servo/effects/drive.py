@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Periods, Stage, Usual, register
+from op3.servo.effect import Effect, Parameter, Stage, Usual, register
 from op3.servo.law import CURRENT, acted, clip, lifted_voltage
+from op3.servo.signals import Periods
 
 
 @register

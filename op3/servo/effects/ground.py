@@ -4,8 +4,9 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
-from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, Trunk, register
+from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, register
 from op3.servo.effects.trunk import about, product
+from op3.servo.signals import Trunk
 
 
 @register

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from op3.servo.effect import Effect, Parameter, Stage, Trunk, register
+from op3.servo.effect import Effect, Parameter, Stage, register
+from op3.servo.signals import Trunk
 
 
 @register
