@@ -14,15 +14,17 @@ from PIL import Image
 
 from op3.diagnose import Diagnosis, diagnosed_mount, split_logs, suited
 from op3.envs import BatchedEnv, record_episodes
+from op3.motions import Motion, chirp, multisine, squat, staircase, triangle
 from op3.policy import PolicyBundle
 from op3.report.frames import draw_frames
 from op3.report.style import INK, PALETTE
 from op3.report.video import states_of_log
-from op3.robot import Motion, build_scene, chirp, multisine, pose, squat, staircase, triangle
+from op3.robot import pose
 from op3.rollout import Rollout, read_logs
+from op3.scenes import build_scene
 from op3.servo import RobotModel, Servos, law
 from op3.sim import load_model, model_for
-from op3.stand_in import StandIn, World, draw_case, make_case
+from op3.stand_in import HiddenWorld, StandIn, draw_case, make_case
 from op3.tasks.task import find_task
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
@@ -170,7 +172,7 @@ def worlds() -> Image.Image:
     """One squat, commanded alike, of four hidden robots."""
     figure, axes = panels(2, 1, 4.0, sharex=True)
     for name in ("default", "eta_060", "eta_080", "robot_5"):
-        log = StandIn(World.find(name), "floor", seed=0).play(squat(duration=4.0), p_gain=6.0, d_gain=0.1)
+        log = StandIn(HiddenWorld.find(name), "floor", seed=0).play(squat(duration=4.0), p_gain=6.0, d_gain=0.1)
         time = log.array("time")[:, 0]
         error = np.degrees(log.column("l_knee.position") - log.column("l_knee.target"))
         axes[0].plot(time, error, label=name)
@@ -218,13 +220,13 @@ def voltage() -> Image.Image:
 @picture
 def bus() -> Image.Image:
     """Two ticks on the robot's bus: who speaks when."""
-    from op3.deploy import Hold, Plan, connect, run
+    from op3.deploy import HoldPose, Plan, connect, run
     from op3.deploy.emulator import read_frames
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "frames.txt"
         robot = connect("emulated", mount="stand", record=file)
-        run(robot, lambda: Hold(pose("stand"), duration=0.5, log="run"), Plan(folder=Path(folder) / "run"))
+        run(robot, lambda: HoldPose(pose("stand"), duration=0.5, log="run"), Plan(folder=Path(folder) / "run"))
         frames = read_frames(file)
     middle = frames[len(frames) // 2].time
     figure, axis = panels(height=2.2)

@@ -16,7 +16,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import NoReturn
 
-from op3.command_help import (
+from op3.apps.command_help import (
     COMMANDS,
     PRESETS,
     asked_for,
@@ -26,8 +26,8 @@ from op3.command_help import (
     overview,
     usage,
 )
-from op3.private import CLAIMED, hide, scrub, scrub_folder
-from op3.settings import nearest
+from op3.common.private import CLAIMED, hide, scrub, scrub_folder
+from op3.common.settings import nearest
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if command in ("doctor", "completion"):
         if rest:
             end(f"{command} takes no settings, got {rest[0]}")
-        from op3.doctor import report
+        from op3.common.doctor import report
 
         print(report() if command == "doctor" else completion())
         return

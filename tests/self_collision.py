@@ -5,7 +5,7 @@ from itertools import combinations
 import mujoco
 import numpy as np
 
-from op3.robot import build_scene
+from op3.scenes import build_scene
 
 
 class PartDistances:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from op3.command_help import COMMANDS, completion, overview, usage
+from op3.apps.command_help import COMMANDS, completion, overview, usage
 from op3.command_line import main, quoted
 from tests.scripts import run_apart
 

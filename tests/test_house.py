@@ -1,7 +1,8 @@
-"""The house: no import circles, and the OP3's names in two files."""
+"""The house: no import circles, no name twice, and the OP3's names in two files."""
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,6 +38,14 @@ def test_no_module_imports_itself_by_a_detour():
         for name in ready:
             del left[name]
     assert not left
+
+
+def test_no_class_and_no_file_shares_its_name():
+    """A reader who meets a name finds one thing of that name in the package."""
+    nodes = [node for path in FILES.values() for node in ast.walk(ast.parse(path.read_text()))]
+    classes = [node.name for node in nodes if isinstance(node, ast.ClassDef)]
+    files = [path.name for path in FILES.values() if path.name != "__init__.py"]
+    assert {name: count for name, count in Counter(classes + files).items() if count > 1} == {}
 
 
 def test_the_op3_is_data():

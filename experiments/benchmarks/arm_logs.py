@@ -19,13 +19,13 @@ from torch import Tensor
 from op3.identify.prediction_score import predict_logs
 from op3.identify.refine import refine
 from op3.identify.sensitivity import Box
+from op3.replay import Setup
+from op3.replay.log_replay import gain_of
 from op3.robot import load_robot
 from op3.rollout import Rollout, read_logs
 from op3.servo import RobotModel, effect_class
 from op3.servo.conditions import split_name
 from op3.sim import MeasuredMotion, TrajectoryDynamics, Window, WindowSimulation, servo_model, trajectory_dynamics
-from op3.tasks import Setup
-from op3.tasks.replay import gain_of
 
 PREROLL, STEPS = 4, 10
 """Rows that lead into a window, and steps of the simulation per row of about 20 ms."""

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
-from op3.diagnose.base import Base, fit_base, gap_of, settle
+from op3.diagnose.base import Baseline, fit_base, gap_of, settle
 from op3.diagnose.coordinates import other_forms
 from op3.diagnose.reduction import Reduction
 from op3.rollout import read_logs
@@ -25,7 +25,7 @@ NAMES = {"velocity_time_constant": "velocity_lag", "current_time_constant": "cur
 """What a world calls some of the base's numbers; the others have the same name."""
 
 
-def from_truth(reduction: Reduction, base: Base, world: dict) -> Base:
+def from_truth(reduction: Reduction, base: Baseline, world: dict) -> Baseline:
     """Where a start from a world's numbers and forms leads, with the priors of a base."""
     wanted = {"dte": ("form", "power"), "stribeck": ("fade", world["fade_form"])}
 

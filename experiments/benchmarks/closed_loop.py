@@ -24,18 +24,20 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
-from op3.diagnose.findings import Proposal, Search, Stage
+from op3.diagnose.findings import NamingStage, Proposal, Search
+from op3.motions import Excitation, Motion, leg_suite
+from op3.motions.op3_suites import LEG_JOINTS
 from op3.replay.windows import WindowResiduals
-from op3.robot import DEFAULT, Excitation, Motion, build_scene, leg_suite, load_robot
-from op3.robot.op3_suites import LEG_JOINTS
+from op3.robot import DEFAULT, load_robot
 from op3.rollout import Rollout
+from op3.scenes import build_scene
 from op3.servo import RobotModel
 from op3.sim import load_model
 from op3.stand_in import cases as bench
 from op3.stand_in.cases import Case, record_case
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.suites import SETTINGS, Setting
-from op3.stand_in.world import BENCH_RANGES, World
+from op3.stand_in.world import BENCH_RANGES, HiddenWorld
 
 ARM = ("l_sho_pitch", "l_sho_roll", "l_el")
 
@@ -64,13 +66,13 @@ PLACES = {
 }
 """Joints of each robot in which faults sit."""
 
-Fault = Callable[[World, dict[str, Any]], tuple[str, World, tuple[Hidden, ...]]]
+Fault = Callable[[HiddenWorld, dict[str, Any]], tuple[str, HiddenWorld, tuple[Hidden, ...]]]
 
 
 def hidden(name: str, size: float, where: str) -> Fault:
     """One effect in one place of the robot."""
 
-    def of(world: World, places: dict[str, Any]) -> tuple[str, World, tuple[Hidden, ...]]:
+    def of(world: HiddenWorld, places: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
         joints = places[where] if isinstance(places[where], tuple) else (places[where],)
         return "paper", world, (Hidden(name, size, joints),)
 
@@ -80,7 +82,7 @@ def hidden(name: str, size: float, where: str) -> Fault:
 def shared(name: str, base: str, **values: float) -> Fault:
     """One effect of all joints that the given model lacks and the world has."""
 
-    def of(world: World, _: dict[str, Any]) -> tuple[str, World, tuple[Hidden, ...]]:
+    def of(world: HiddenWorld, _: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
         return base, world.replace(**values), (Hidden(name, next(iter(values.values()))),)
 
     return of
@@ -102,13 +104,13 @@ FAULTS: dict[str, Fault] = {
 
 def case_of(fault: str, robot: str, seed: int) -> Case:
     """A robot drawn from a seed, with a fault."""
-    base, world, effects = FAULTS[fault](World.random(seed, BENCH_RANGES), PLACES[robot])
+    base, world, effects = FAULTS[fault](HiddenWorld.random(seed, BENCH_RANGES), PLACES[robot])
     joints = tuple(str(joint.name) for joint in SETTINGS[robot].scene().joints)
     kind = "single" if effects else "null"
     return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
 
 
-def told(search: Search, stage: Stage, hidden: Hidden) -> Stage:
+def told(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage:
     """The stage with an effect that is known to be there, its size and the base fitted as a finding's are."""
     names = search.reduction.engine.joints
     place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None

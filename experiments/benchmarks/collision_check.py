@@ -9,7 +9,8 @@ import time
 import numpy as np
 
 from op3.deploy.ticker import PERIOD
-from op3.robot import SinusoidalGait, load_robot
+from op3.motions import SinusoidalGait
+from op3.robot import load_robot
 from op3.robot.self_collision import SelfCollision
 
 TICKS = 5000

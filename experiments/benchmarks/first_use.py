@@ -8,9 +8,9 @@ from math import sin
 
 import torch
 
+from op3.replay import Setup
 from op3.servo import Effect, Parameter, RobotModel, Stage, catalogue, register
 from op3.sim import BatchSimulation, load_model
-from op3.tasks import Setup
 
 VOLTAGE_DRIVEN = ("position_servo", "minimum_duty")
 

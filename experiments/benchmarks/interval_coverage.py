@@ -26,13 +26,14 @@ from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
+from op3.motions import Motion
+from op3.replay import simulate_motion
 from op3.report import Page, run_provenance, write_result
-from op3.robot import Motion, load_robot
+from op3.robot import load_robot
 from op3.robot.register_units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 
 NOISE = {
     ("joint", "position"): 0.0,

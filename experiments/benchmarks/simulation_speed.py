@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from mujoco.batch import Batch
 
+from op3.replay import Setup
 from op3.report import machine
 from op3.robot import load_robot, pose
 from op3.servo import Servos
 from op3.sim import BatchSimulation, load_model
-from op3.tasks import ComposerTask, Setup, composer_environment, find_task
+from op3.tasks import ComposerTask, composer_environment, find_task
 
 SIMS = 64
 ROUNDS = 7

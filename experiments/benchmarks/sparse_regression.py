@@ -18,10 +18,10 @@ import yaml
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from op3.robot import build_scene
 from op3.robot.kinematics import rotation_matrix
 from op3.robot.register_units import GRAVITY
 from op3.rollout import Rollout, read_logs
+from op3.scenes import build_scene
 from op3.sim import load_model
 
 WINDOW, ORDER = 9, 3

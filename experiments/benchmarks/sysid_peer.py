@@ -28,8 +28,9 @@ from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
 from op3.report import Page, run_provenance, write_result
-from op3.robot import build_scene, load_robot
+from op3.robot import load_robot
 from op3.rollout import Rollout, read_logs
+from op3.scenes import build_scene
 from op3.sim import load_model
 
 PEER = {

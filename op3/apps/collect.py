@@ -31,15 +31,16 @@ from op3.apps.command_result import CommandResult
 from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
+from op3.common.settings import read_yaml
 from op3.deploy import Stop
 from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.ticker import PERIOD
+from op3.motions import Motion, check_motion
 from op3.policy import PolicyBundle
 from op3.policy.card import check_card
-from op3.robot import Motion, check_motion, load_robot
+from op3.robot import load_robot
 from op3.rollout import MOUNTS, Rollout, git_hash
-from op3.settings import read_yaml
 
 INTERRUPTED = goes_on("recordings")
 

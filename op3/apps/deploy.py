@@ -22,7 +22,7 @@ from op3.deploy import (
     Connection,
     ExitCode,
     FollowPolicy,
-    Hold,
+    HoldPose,
     Limits,
     Plan,
     PolicyRunner,
@@ -202,7 +202,7 @@ def run_on(
     """Run the policy, or hold the stand pose."""
     if runner is None:
         home = connection.bus.robot.home
-        make = lambda: Hold(home, duration=duration, log="run")  # noqa: E731
+        make = lambda: HoldPose(home, duration=duration, log="run")  # noqa: E731
         return run(connection, make, plan, motion="hold", git_hash=git_hash())
     manifest = runner.bundle.manifest
     known: dict[str, Any] = {"model_hash": manifest.training.model_hash or None, "git_hash": git_hash()}

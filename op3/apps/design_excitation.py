@@ -19,8 +19,8 @@ from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, positive
 from op3.apps.job import configured, overrides_of
 from op3.apps.support import library_motion, output_folder, provenance, reported
-from op3.assets import named_configs
-from op3.identify.design import Candidate, check_choice, choose, information
+from op3.common.assets import named_configs
+from op3.identify.design import PlannedRecording, check_choice, choose, information
 from op3.identify.identification import PREFIX
 from op3.identify.resolvers import chosen_model
 from op3.identify.search_space import parse_search_space
@@ -75,7 +75,7 @@ def design(
         return main(cfg)
 
 
-def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list[Candidate], dict[str, str]]:
+def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list[PlannedRecording], dict[str, str]]:
     """Simulate every motion on every mount, and say which cannot be judged."""
     model, robot = chosen_model(cfg), load_robot(cfg.robot)
     joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
@@ -91,7 +91,7 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
             except ValueError as error:
                 left_out[f"{name} on the {mount}"] = str(error)
                 continue
-            candidates.append(Candidate(name, mount, motion.duration, matrix))
+            candidates.append(PlannedRecording(name, mount, motion.duration, matrix))
             print(f"{name} on the {mount}: {motion.duration:.1f} s", flush=True)
     if not candidates:
         raise ValueError(f"none of the motions can be judged on mounts={list(cfg.mounts)}: {left_out or 'no motion'}")

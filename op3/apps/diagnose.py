@@ -38,13 +38,14 @@ from op3.diagnose import (
 )
 from op3.diagnose.window_gaps import gap_table
 from op3.identify.resolvers import chosen_model
+from op3.motions import leg_suite
 from op3.policy import PolicyBundle
+from op3.replay.planned import planned_motions, planned_suite
 from op3.report.diagnosis_page import report_diagnosis
-from op3.robot import DEFAULT, leg_suite
+from op3.robot import DEFAULT
 from op3.rollout import Rollout, read_logs
 from op3.servo import effect_class
 from op3.sim import model_for, save_model
-from op3.tasks.planned import planned_motions, planned_suite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +124,7 @@ def attempts(cfg: DictConfig) -> tuple[PolicyBundle, list[Rollout]]:
 
 def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: list[Rollout]) -> dict[str, Any]:
     """What a policy would return before and after, and what it did where its episodes are given."""
-    from op3.envs.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
+    from op3.transfer.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
 
     options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": ProgressLine()}
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)

@@ -17,7 +17,7 @@ from op3.apps.fields import positive, whole
 from op3.apps.job import one_sentence
 from op3.apps.support import seeded_faults
 from op3.deploy.emulated import physics_maker
-from op3.deploy.emulator import EmulatedRobot, PtyServer, Timing
+from op3.deploy.emulator import EmulatedRobot, LineTiming, PtyServer
 from op3.deploy.operator import told
 from op3.robot import load_robot
 
@@ -36,7 +36,7 @@ def robot(cfg: DictConfig) -> EmulatedRobot:
         make(cfg.scene, None if cfg.scene == "bench" else load_robot(cfg.robot).pose(cfg.pose)),
         seed=cfg.seed,
         faults=seeded_faults(cfg.faults),
-        timing=Timing(latency_timer=float(cfg.latency_timer)),
+        timing=LineTiming(latency_timer=float(cfg.latency_timer)),
         settings={"baud_rate": 4, "return_delay_time": int(cfg.return_delay_time)},
         record=cfg.record,
     )

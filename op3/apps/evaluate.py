@@ -23,7 +23,8 @@ from op3.apps.fields import plain, whole
 from op3.apps.job import configured, overrides_of
 from op3.apps.progress import ProgressLine
 from op3.apps.support import output_folder, provenance, reported, run_folder
-from op3.assets import here_or_shipped
+from op3.common.assets import here_or_shipped
+from op3.common.sample_intervals import mean_interval, wilson_interval
 from op3.compliance.robustness import Variation, make_card
 from op3.envs import BatchedEnv
 from op3.envs.actors import Watched, find_actor
@@ -34,7 +35,6 @@ from op3.report.evaluation_page import report_evaluation
 from op3.report.video import film
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.sample_intervals import mean_interval, wilson_interval
 from op3.sim import model_for
 from op3.tasks.behaviour import gains, gait_profile, mean_tilt
 from op3.tasks.evaluation import evaluation_return, succeeded
@@ -183,7 +183,7 @@ def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
     """Numbers of the baseline on the same episodes, and its returns."""
     logs, *_ = play(cfg, task, cfg.baseline, "baseline")
-    others = [evaluation_return(log) for log in logs]
+    others = [evaluation_return(log, task) for log in logs]
     margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
     numbers = {
         "evaluation.baseline": str(cfg.baseline),
@@ -223,7 +223,7 @@ def main(cfg: DictConfig) -> Evaluated:
         for asked, achieved, spread in obeyed.speeds:
             print(f"  {asked:.2f} m/s commanded: {achieved:.3f} m/s achieved (standard deviation {spread:.3f})")
     stiff = hasattr(watched, "commands")
-    returns = [evaluation_return(log) for log in logs]
+    returns = [evaluation_return(log, task) for log in logs]
     numbers: dict[str, Any] = {
         "evaluation.task": task.name,
         "evaluation.model": str(cfg.model or robot.file.law or "own"),

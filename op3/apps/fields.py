@@ -12,9 +12,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from op3.assets import find_model, robot_file
-from op3.command_help import config_file
-from op3.settings import (
+from op3.apps.command_help import config_file
+from op3.common.assets import find_model, robot_file
+from op3.common.settings import (
     GAIN_HIGH,
     Count,
     Gain,
@@ -29,7 +29,7 @@ from op3.settings import (
     settings,
     shown,
 )
-from op3.wandb_settings import WandbSettings
+from op3.common.wandb_settings import WandbSettings
 
 
 @settings()

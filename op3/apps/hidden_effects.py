@@ -23,7 +23,7 @@ from op3.report import run_provenance, write_result
 from op3.report.naming_page import naming_page
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers
 from op3.stand_in.bench import commit, draw_mix, read_cost, run_all
-from op3.stand_in.score import Verdict, confusion, random_name, read_verdict, score_case, summarise
+from op3.stand_in.score import BenchVerdict, confusion, random_name, read_verdict, score_case, summarise
 from op3.stand_in.world import read_ranges
 
 INTERRUPTED = goes_on("cases")
@@ -43,7 +43,7 @@ def scores(cases: list[Case], answers: dict[str, Any], found: dict[str, Any]) ->
     rows = []
     for case in cases:
         path = found[case.name]
-        verdict = Verdict(failed=True) if path is None else read_verdict(path, case.joints)
+        verdict = BenchVerdict(failed=True) if path is None else read_verdict(path, case.joints)
         rows.append(score_case(answers[case.name], verdict, {} if path is None else read_cost(path)))
     return rows
 

@@ -20,14 +20,14 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from op3.apps.command_help import COMMANDS, config_file
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import check
 from op3.apps.search import search
 from op3.apps.sentences import as_sentence
-from op3.command_help import COMMANDS, config_file
+from op3.common.private import CLAIMED, masked, scrub
 from op3.identify.registration import register
 from op3.identify.sweeper_conf import PopulationSweeperConf
-from op3.private import CLAIMED, masked, scrub
 
 NOTHING_KEPT = "Nothing goes on from here: run it again."
 """What is said after Ctrl-C of commands that keep nothing."""

@@ -24,15 +24,15 @@ from op3.apps.fields import plain
 from op3.apps.job import configured, goes_on, overrides_of
 from op3.apps.stages import Stages
 from op3.apps.support import output_folder, reported, run_folder
-from op3.identify.failed_episodes import ended_by, that_count
 from op3.identify.identification import PREFIX
-from op3.identify.reidentification import Reidentification
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report
 from op3.policy import PolicyBundle
 from op3.report.reidentification_page import report_reidentification
 from op3.rollout import read_logs
 from op3.sim import load_model, save_model
+from op3.transfer.failed_episodes import ended_by, that_count
+from op3.transfer.reidentification import Reidentification
 
 INTERRUPTED = goes_on("trials")
 

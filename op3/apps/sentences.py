@@ -9,8 +9,8 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from op3.command_help import config_file, files, names_in, settings_of
-from op3.settings import nearest
+from op3.apps.command_help import config_file, files, names_in, settings_of
+from op3.common.settings import nearest
 
 
 def explained(error: Exception, config: str) -> str:

@@ -28,18 +28,19 @@ from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
 from op3.apps.support import ASKED, check_same, library_motion, output_folder, provenance, remember
 from op3.apps.train import train
-from op3.identify.failed_episodes import ended_by, that_count
 from op3.policy import PolicyBundle
+from op3.replay import Prediction, Replay
 from op3.report import RunFolder, read_result
-from op3.report.transfer_page import Learned, Transfer, report_transfers
+from op3.report.transfer_page import report_transfers
 from op3.report.video import film, states_of_log
-from op3.robot import build_scene
 from op3.rollout import Rollout, read_logs
+from op3.scenes import build_scene
 from op3.sim import load_model, model_hash
-from op3.stand_in import World
-from op3.tasks import Prediction, Replay
+from op3.stand_in import HiddenWorld
 from op3.tasks.evaluation import evaluation_return, stood, succeeded
 from op3.tasks.task import find_task
+from op3.transfer.attempt import Learned, Transfer
+from op3.transfer.failed_episodes import ended_by, that_count
 
 JUDGED = {"balance": "balance_eval", "walk": "walk"}
 """Task of the evaluation by task of the training."""
@@ -186,7 +187,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
     if positive(cfg, "criterion", "promised returns") > MOST:
         raise ValueError(f"criterion is a share of the promised return, 0.8 for 80 %, got {cfg.criterion}")
     if chosen("source") == "emulated":
-        World.find(cfg.world, cfg.world_seed)
+        HiddenWorld.find(cfg.world, cfg.world_seed)
     load_model(cfg.conditions[cfg.condition].get("model", cfg.model))
     if not isinstance(cfg.diagnose, bool | None):
         raise ValueError(f"diagnose must be true, false or null for what the condition says, got {cfg.diagnose!r}")

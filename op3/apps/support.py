@@ -14,16 +14,17 @@ from omegaconf import DictConfig
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain
 from op3.apps.job import command_of_run, composed, override
-from op3.assets import find_model, named_configs
-from op3.private import scrub
-from op3.robot import DEFAULT, Motion
-from op3.rollout import Metadata, Rollout
+from op3.common.assets import find_model, named_configs
+from op3.common.private import scrub
+from op3.common.settings import nearest
+from op3.common.wandb_settings import WandbSettings
+from op3.robot import DEFAULT
 from op3.rollout.files import write_text
-from op3.settings import nearest
-from op3.wandb_settings import WandbSettings
 
 if TYPE_CHECKING:
+    from op3.motions import Motion
     from op3.report import RunFolder
+    from op3.rollout import Rollout
 
 ASKED = "asked.yaml"
 """File in a run's folder with the settings it was begun with; see `check_same`."""
@@ -140,7 +141,7 @@ def provenance(cfg: DictConfig, data: Any = None) -> dict[str, Any]:
     return {**run_provenance(seed=cfg.seed, data=data), "command": command_of_run()}
 
 
-def library_motion(name: str, robot: str = DEFAULT) -> Motion:
+def library_motion(name: str, robot: str = DEFAULT) -> "Motion":
     """A motion by its name in `conf/motion`, for this robot if it is one for any.
 
     Raises:
@@ -152,7 +153,7 @@ def library_motion(name: str, robot: str = DEFAULT) -> Motion:
     return instantiate(composed("collect", [f"motion={name}", override("robot", robot)]).motion)
 
 
-def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: str) -> list[Rollout]:
+def logs_where(logs: "Sequence[Rollout]", where: Mapping[str, Any] | None, field: str) -> "list[Rollout]":
     """The logs with these metadata; all where nothing is asked.
 
     Args:
@@ -160,6 +161,8 @@ def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: 
         where: values by field of the metadata.
         field: of the config that asks, for messages.
     """
+    from op3.rollout import Metadata
+
     known = [entry.name for entry in fields(Metadata)]
     unknown = [name for name in where or {} if name not in known]
     if unknown:
@@ -170,7 +173,7 @@ def logs_where(logs: Sequence[Rollout], where: Mapping[str, Any] | None, field: 
     return chosen
 
 
-def focus_joints(joints: Sequence[str] | None, logs: Sequence[Rollout]) -> tuple[str, ...]:
+def focus_joints(joints: Sequence[str] | None, logs: "Sequence[Rollout]") -> tuple[str, ...]:
     """Joints whose traces count: those given, else the controlled ones of the robot where the logs have them."""
     if joints is not None:
         return tuple(joints)

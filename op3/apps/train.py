@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import get_class, instantiate
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 
@@ -25,11 +25,12 @@ from op3.apps.fields import plain, whole
 from op3.apps.job import configured, overrides_of
 from op3.apps.sentences import no_such
 from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported, wandb_of
-from op3.assets import named_configs
+from op3.common.assets import named_configs
+from op3.common.private import CLAIMED
+from op3.common.settings import imported
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
-from op3.private import CLAIMED
 from op3.report import RunFolder, RunLogger
 from op3.report.training_page import histogram_figure, report_training
 from op3.report.video import film
@@ -191,11 +192,7 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
     settings = plain(cfg.algorithm)
     if start is not None:
         settings |= {"hidden": list(start.manifest.hidden), "activation": start.manifest.activation}
-    try:
-        make = get_class(target := settings.pop("_target_"))
-    except (ImportError, ValueError) as error:
-        raise ValueError(f"algorithm._target_={target}: {error}; give a class of an algorithm") from None
-    algorithm = make(
+    algorithm = imported(settings.pop("_target_"), "algorithm._target_")(
         robots,
         seed=cfg.seed,
         initial_action=torch.as_tensor(action_map.stand(cfg.initial_gain)),

@@ -21,22 +21,23 @@ from omegaconf import DictConfig
 
 from op3.apps.fields import check_given
 from op3.apps.support import output_folder
-from op3.assets import here_or_shipped, model_names
+from op3.common.assets import here_or_shipped, model_names
+from op3.common.settings import read_yaml
 from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
+from op3.motions import multisine, squat
 from op3.policy.bundle import MANIFEST, PolicyBundle
 from op3.policy.card import find_card
+from op3.replay import Replay, simulate_motion
 from op3.report.frames import RenderError
 from op3.report.live import stretches, told
 from op3.report.tracks import SHOWN, Tracks, of_diagnosis, predicted, scene_of
 from op3.report.video import write_film
 from op3.report.viewer import RATE, pictures, window
-from op3.robot import load_robot, multisine, squat
+from op3.robot import load_robot
 from op3.robot.robot_file import FORMAT as ROBOT_FORMAT
 from op3.rollout import Rollout, read_logs
-from op3.settings import read_yaml
 from op3.sim import load_model, model_for
-from op3.tasks import Replay, simulate_motion
 from op3.tasks.task import POLICY_PERIOD, find_task
 
 

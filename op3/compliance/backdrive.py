@@ -8,11 +8,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from op3.common.settings import CONTROL_PERIOD
+from op3.replay.setups import Setup
 from op3.robot import Robot
 from op3.robot.register_units import POSITION_UNIT
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation
-from op3.tasks.setups import OP3_CONTROL_PERIOD, Setup
 
 Array = NDArray[np.float64]
 
@@ -63,17 +64,17 @@ def back_drive(
     state, which, way = (axis.reshape(-1) for axis in np.indices(shape))
     simulation = BatchSimulation(
         setup.mj_model, setup.scene.joint_names, model, int(rows), base_body=setup.base_body,
-        control_period=OP3_CONTROL_PERIOD, num_threads=num_threads,
+        control_period=CONTROL_PERIOD, num_threads=num_threads,
     )  # fmt: skip
     frozen: dict[str, Tensor] = {name: torch.from_numpy(np.asarray(v)[state]) for name, v in commands.items()}
     simulation.reset(position[state], frozen)
-    for _ in range(round(SETTLE / OP3_CONTROL_PERIOD)):
+    for _ in range(round(SETTLE / CONTROL_PERIOD)):
         simulation.advance()
     joint, sign = turned[which], np.where(way, -1.0, 1.0)
     qpos, turning = simulation.batch.bind("qpos"), simulation.ports.qpos[joint]
     everyone = np.arange(rows)
     start, twist = qpos[everyone, turning], _twister(simulation, joint)
-    grown = RATE * OP3_CONTROL_PERIOD * np.arange(1, round(MOST / RATE / OP3_CONTROL_PERIOD) + 1)
+    grown = RATE * CONTROL_PERIOD * np.arange(1, round(MOST / RATE / CONTROL_PERIOD) + 1)
     moved = np.zeros((len(grown), int(rows)))
     for step, size in enumerate(grown):
         twist(sign * size)

@@ -10,6 +10,8 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from op3.common.sample_intervals import wilson_interval
+from op3.common.settings import CONTROL_PERIOD, Count, Positive, settings
 from op3.compliance.backdrive import BackDrive, back_drive
 from op3.compliance.energy import Energy, measure_energy
 from op3.compliance.gains import TICK, Gains, measure_gains
@@ -18,14 +20,13 @@ from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
-from op3.envs.step_traces import SKIPPED, Traces, Watch
-from op3.robot import SinusoidalGait, load_robot
+from op3.envs.step_traces import SKIPPED, StepWatch, Traces
+from op3.motions import SinusoidalGait
+from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
-from op3.settings import Count, Positive, settings
 from op3.tasks.baselines import StiffWalk, position_mode
 from op3.tasks.evaluation import succeeded
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import Task, find_task
 
 Array = NDArray[np.float64]
@@ -74,6 +75,11 @@ class Passed:
     successes: int
     episodes: int
     speed: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the share of successes."""
+        return wilson_interval(self.successes, self.episodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +198,7 @@ class Study:
     def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
         """Episodes on the first ground, seen every millisecond: logs, landings, traces, and the robot's mass [kg]."""
         env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
-        watch = Watch(env)
+        watch = StepWatch(env)
         with watch.watching():
             logs = record_episodes(env, actor.policy)
         traces = watch.traces()
@@ -202,7 +208,7 @@ class Study:
         """At states spread over a cycle of the gait, of the episodes that lasted longest."""
         assert self.task.cycle is not None
         longest, count = sorted(logs, key=lambda log: -log.rows), self.sizes.states
-        rows = np.round((SKIPPED + self.task.cycle * np.arange(count) / count) / OP3_CONTROL_PERIOD).astype(int)
+        rows = np.round((SKIPPED + self.task.cycle * np.arange(count) / count) / CONTROL_PERIOD).astype(int)
         gains = ["firmware_gain"] if actor.stiff else ["p_gain", "d_gain"]
         names = {"position_target": "command/position", **{name: f"command/{name}" for name in gains}}
         taken = [(log, min(row, log.rows - 1)) for log, row in zip(cycle(longest), rows, strict=False)]

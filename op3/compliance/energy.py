@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.sample_intervals import with_interval
 from op3.robot import Robot
 from op3.robot.register_units import GRAVITY
 from op3.rollout import Rollout
-from op3.sample_intervals import with_interval
 from op3.servo import RobotModel
 
 Array = NDArray[np.float64]

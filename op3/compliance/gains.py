@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.sample_intervals import with_interval
+from op3.common.settings import CONTROL_PERIOD
 from op3.compliance.energy import torque_per_current
 from op3.envs.step_traces import SKIPPED, TOUCHED, Traces, touchdowns
 from op3.policy.observation import layout_slices
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.sample_intervals import with_interval
 from op3.servo import RobotModel
 from op3.tasks.behaviour import foot_of, in_stance
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import TICKS, Task
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ BINS = 25
 AFTER_LANDING = 0.1
 """Time after a touchdown that is looked at apart [s]."""
 
-TICK = round(1000 * OP3_CONTROL_PERIOD)
+TICK = round(1000 * CONTROL_PERIOD)
 """Milliseconds of a tick."""
 
 SITUATIONS = ("support", "swing", "landed", "support_clock", "swing_clock")
@@ -119,7 +119,7 @@ def _phase(log: Rollout, task: Task) -> Array:
     """Phase of the gait at a log's rows [cycles], as the policy saw it."""
     assert task.cycle is not None
     sine, cosine = log.array("policy/observation")[:, layout_slices(task.layout)["phase"]].T
-    since = OP3_CONTROL_PERIOD * (np.arange(log.rows) % TICKS)
+    since = CONTROL_PERIOD * (np.arange(log.rows) % TICKS)
     return np.remainder(np.arctan2(sine, cosine) / (2 * np.pi) + since / task.cycle, 1.0)
 
 

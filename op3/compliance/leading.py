@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.sample_intervals import with_interval
+from op3.common.settings import CONTROL_PERIOD
 from op3.envs.actors import Actor
-from op3.sample_intervals import with_interval
 from op3.servo import RobotModel
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.task import TICKS, Task, find_task
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def lead(
     state: Any = env.begin({row: row % episodes for row in range(env.num_envs)})
 
     def pull(tick: int) -> None:
-        since = env.mdp.time.numpy()[:count] + tick * OP3_CONTROL_PERIOD - FIRST
+        since = env.mdp.time.numpy()[:count] + tick * CONTROL_PERIOD - FIRST
         size = MOST * np.clip(since / DURATION, 0.0, 1.0)
         external[np.arange(count), body, :3] = size[:, None] * way
 
@@ -115,7 +115,7 @@ class _Places:
 
 def _against_twins(seen: Array, upright: NDArray[np.bool_], way: Array, episodes: int, cycle: float) -> dict[str, Led]:
     """Displacements of robots ``[step, sim, 2, 3]`` from those left alone, who are the last, averaged over cycles."""
-    count, period = len(way), TICKS * OP3_CONTROL_PERIOD
+    count, period = len(way), TICKS * CONTROL_PERIOD
     twins = np.tile(seen[:, count:], (1, len(PULLS), 1, 1))
     moved = np.einsum("tsci,si->tsc", seen[:, :count] - twins, way)
     together = upright[:, :count] & np.tile(upright[:, count:], (1, len(PULLS)))

@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from op3.common.sample_intervals import wilson_interval
+from op3.common.settings import Named, Number, Positive, nearest, settings
 from op3.compliance.energy import measure_energy
 from op3.compliance.pushing import survive_pushes
 from op3.envs.actors import Actor
@@ -19,9 +21,7 @@ from op3.policy import PolicyBundle
 from op3.policy.card import Card
 from op3.robot import load_robot
 from op3.rollout import Rollout
-from op3.sample_intervals import wilson_interval
 from op3.servo import Parameter, RobotModel, catalogue
-from op3.settings import Named, Number, Positive, nearest, settings
 from op3.tasks.evaluation import succeeded
 from op3.tasks.pushes import DIRECTIONS
 from op3.tasks.task import Task, find_task

@@ -4,12 +4,12 @@ from op3.deploy.connection import Connection, Plan, calibrate, connect, read_onl
 from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
-from op3.deploy.phases import FollowMotion, Hold
+from op3.deploy.phases import FollowMotion, HoldPose
 from op3.deploy.players import Player
 from op3.deploy.policy_runner import FollowPolicy, PolicyReplay, PolicyRunner, replay_policy
-from op3.deploy.robot_state import Calibration, State
+from op3.deploy.robot_state import Calibration, RobotState
 from op3.deploy.safety import Safety
-from op3.deploy.session import Outcome
+from op3.deploy.session import SessionOutcome
 
 __all__ = [
     "Bus",
@@ -19,15 +19,15 @@ __all__ = [
     "ExitCode",
     "FollowMotion",
     "FollowPolicy",
-    "Hold",
+    "HoldPose",
     "Limits",
-    "Outcome",
     "Plan",
     "Player",
     "PolicyReplay",
     "PolicyRunner",
+    "RobotState",
     "Safety",
-    "State",
+    "SessionOutcome",
     "Stop",
     "calibrate",
     "connect",

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.settings import read_yaml
+from op3.common.settings import read_yaml
 
 Array = NDArray[np.float64]
 

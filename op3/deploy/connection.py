@@ -15,13 +15,13 @@ from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
 from op3.deploy.operator import Console, Operator
-from op3.deploy.panel import Panel
-from op3.deploy.phases import GainRamp, Hold, Move, Phase, Relax, Watch
+from op3.deploy.panel import StatusPanel
+from op3.deploy.phases import GainRamp, HoldPose, Move, Phase, Relax, Watch
 from op3.deploy.policy_runner import FollowPolicy
 from op3.deploy.robot_state import Calibration
 from op3.deploy.safety import Onlooker, Safety
 from op3.deploy.serial_port import SerialPort
-from op3.deploy.session import Logs, Outcome, Session
+from op3.deploy.session import Logs, Session, SessionOutcome
 from op3.deploy.start_checks import UNTOUCHED
 from op3.deploy.ticker import PERIOD, POLICY_TICKS, MonotonicClock
 from op3.policy.actions import D_GAIN, HELD_GAIN
@@ -143,7 +143,7 @@ def run(
     recording: str | None = None,
     report: Report | None = None,
     **metadata: Any,
-) -> Outcome:
+) -> SessionOutcome:
     """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
 
     Args:
@@ -155,7 +155,7 @@ def run(
     plan, robot = plan or Plan(), connection.bus.robot
     first = robot.home if start is None else np.asarray(start, dtype=float)
     rest = robot.pose(plan.end_pose or ("rest" if "rest" in robot.file.poses else "home"))
-    panel = Panel(robot, plan.panel)
+    panel = StatusPanel(robot, plan.panel)
     say = report or panel.say
 
     def phases(session: Session) -> list[Phase]:
@@ -168,8 +168,8 @@ def run(
         return [
             GainRamp(p_gain, d_gain),
             Move(first, p_gain, d_gain, start=lambda: session.issued),
-            Hold(first, p_gain, d_gain, until=lambda: connection.operator.said_go(say)),
-            Hold(first, p_gain, d_gain, duration=SETTLE_TIME),
+            HoldPose(first, p_gain, d_gain, until=lambda: connection.operator.said_go(say)),
+            HoldPose(first, p_gain, d_gain, duration=SETTLE_TIME),
             driver,
             Move(rest, start=lambda: session.issued, log="after"),
             Relax(rest),
@@ -184,10 +184,10 @@ def run(
 
 def read_only(
     connection: Connection, duration: float, plan: Plan | None = None, *, report: Report | None = None
-) -> Outcome:
+) -> SessionOutcome:
     """Show and record what the robot says; nothing at all is written to it."""
     plan, bus = plan or Plan(), connection.bus
-    panel = Panel(bus.robot, plan.panel)
+    panel = StatusPanel(bus.robot, plan.panel)
     say = report or panel.say
     guard, logs = Onlooker(bus, plan.limits, say), _logs(connection, plan, None)
     with closing(panel):

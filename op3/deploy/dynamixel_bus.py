@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from op3.deploy.protocol import ALERT, Instruction, Parser, fast_answers
 from op3.deploy.registers import DYNAMIXEL_X, FIRST_INDIRECT_ADDRESS, OPEN_CR, OPEN_CR_ID, Register, Units
-from op3.deploy.robot_state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, State
+from op3.deploy.robot_state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, RobotState
 from op3.deploy.serial_port import SerialPort
 from op3.deploy.ticker import Clock
 from op3.robot import DEFAULT, Robot, load_robot
@@ -176,8 +176,8 @@ class Bus:
         data, _ = self._read_many(entry.address, entry.size, fast=False)
         return {self.names[number]: entry.decode(value) for number, value in data.items()}
 
-    def read_state(self) -> State:
-        """Everything that one tick needs. What does not answer keeps its last values; see `State.answered`."""
+    def read_state(self) -> RobotState:
+        """Everything that one tick needs. What does not answer keeps its last values; see `RobotState.answered`."""
         # In a fast answer a lost part hides those behind it, so one servo in twenty could miss several ticks in a row.
         # After a loss everyone answers in a packet of its own: slower, and each loss stands alone.
         fast = self.block.fast and not self._missed
@@ -195,7 +195,7 @@ class Bus:
             registers["hardware_error"] = self._errors_of(alert)
         seen = {"time": self.clock.now(), "alert": alert, "answered": answered, "imu_answered": imu}
         board = self._imu if self.board else None
-        return State.of(registers, self.units, self.calibration.offset, board, **seen)
+        return RobotState.of(registers, self.units, self.calibration.offset, board, **seen)
 
     def _errors_of(self, alert: np.ndarray) -> np.ndarray:
         """Hardware errors [joint] where the block does not hold them: asked of those that raise the alert."""

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.deploy.emulator import EmulatedRobot, Faults, Physics, SimPhysics, StandInPhysics, Timing
+from op3.deploy.emulator import EmulatedRobot, Faults, LineTiming, Physics, SimPhysics, StandInPhysics
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
-from op3.robot import DEFAULT, BoardMotion, Robot, Waves, WeightSchedule, build_scene, load_robot
-from op3.robot.scenes import check_scene
+from op3.robot import DEFAULT, Robot, load_robot
+from op3.scenes import BoardMotion, Waves, WeightSchedule, build_scene
+from op3.scenes.scene import check_scene
 from op3.sim import model_for
-from op3.stand_in import World
+from op3.stand_in import HiddenWorld
 from op3.tasks.events import Terrain, board_motion
 from op3.tasks.task import Task, find_task
 
@@ -32,7 +33,7 @@ class Place:
     """Where the robot is put down: a scene, or the ground of a task's episode.
 
     Attributes:
-        scene: a name that `op3.robot.build_scene` knows.
+        scene: a name that `op3.scenes.build_scene` knows.
         board: what moves the board once the policy begins; None for a scene without one.
         tiles: heights of the terrain's tiles [m]; None for a scene without them.
     """
@@ -112,7 +113,7 @@ def physics_maker(
     """What makes a robot on a scene, and what identifies it without telling its truth; see `emulate`."""
     known = load_robot(robot)
     if model is None:
-        truth = World.find(world, world_seed)
+        truth = HiddenWorld.find(world, world_seed)
         kind, identity = partial(StandInPhysics, truth), truth.identity
     else:
         law = model_for(known, None if model == "own" else model)
@@ -135,7 +136,7 @@ def emulate(
     seed: int = 0,
     joint_position: ArrayLike | None = None,
     faults: Faults | None = None,
-    timing: Timing | None = None,
+    timing: LineTiming | None = None,
     settings: dict[str, int] | None = None,
     record: str | Path | None = None,
     powered: bool = False,
@@ -145,10 +146,10 @@ def emulate(
 
     Args:
         robot: a name in `assets/robots`, or the path of its file.
-        world: the stand-in's truth; see `op3.stand_in.World.find`. Ignored where a model is given.
+        world: the stand-in's truth; see `op3.stand_in.HiddenWorld.find`. Ignored where a model is given.
         world_seed: which random world; None: as `seed`.
         model: name or file of a model, instead of a stand-in; "own" for that which its servos' makes give.
-        scene: where it is put down: a name that `op3.robot.build_scene` knows.
+        scene: where it is put down: a name that `op3.scenes.build_scene` knows.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
         joint_position: [joint] in rad at the start; None for home.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.

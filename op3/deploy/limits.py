@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from op3.common.settings import Count, NotNegative, Positive, Whole, settings
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.registers import DYNAMIXEL_X, Units
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
-from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD, LARGEST_OVERLAP_COMMANDED
-from op3.settings import Count, NotNegative, Positive, Whole, settings
+from op3.robot.self_collision import LARGEST_OVERLAP, LARGEST_OVERLAP_AHEAD
 
 Array = NDArray[np.float64]
 HIGHEST = DYNAMIXEL_X["goal_current"].high or 0
@@ -46,8 +46,7 @@ class Limits:
         damp_gain: D gain of a damped joint [A s/rad].
         damp_time: how long joints are damped before torque goes off [s].
         overlap: depth to which parts of the robot may be in each other by the measured angles [m].
-        overlap_ahead: the same 16 ms later, by the measured speeds [m].
-        overlap_commanded: the same by the commands, see `SelfCollision` [m].
+        overlap_ahead: the same 16 ms later by the measured speeds, or by the commands, see `SelfCollision` [m].
     """
 
     peak_current: Positive | None = None
@@ -67,7 +66,6 @@ class Limits:
     damp_time: NotNegative = 0.5
     overlap: NotNegative = LARGEST_OVERLAP
     overlap_ahead: NotNegative = LARGEST_OVERLAP_AHEAD
-    overlap_commanded: NotNegative = LARGEST_OVERLAP_COMMANDED
 
     def __post_init__(self):
         if self.start_voltage < self.voltage:
@@ -155,7 +153,7 @@ class CurrentLimiter:
         share = ((1 - self.load) / 0.1).clip(0, 1)
         return self._continuous + share * (self._peak - self._continuous)
 
-    def counts(self, state: State, command: Command) -> NDArray[np.int64]:
+    def counts(self, state: RobotState, command: Command) -> NDArray[np.int64]:
         """Goal currents [joint] in counts: I* = Kp (q* - q) - Kd dq, within every limit; a `Stop` if one is none."""
         current = command.p_gain * (command.position - state.position) - command.d_gain * state.velocity
         refuse(self._robot, "the current", current, ~np.isfinite(current))
@@ -166,7 +164,7 @@ class CurrentLimiter:
         counts = np.where(state.position < low, np.maximum(counts, 0), counts)
         return counts.astype(np.int64)
 
-    def account(self, written: NDArray[np.int64], state: State) -> None:
+    def account(self, written: NDArray[np.int64], state: RobotState) -> None:
         """Add one period with these goal currents [joint]; the larger of goal and measured current counts."""
         carried = np.maximum(np.abs(written), np.abs(state.raw["current"])).astype(float)
         self._mean_square += self._blend * (carried**2 - self._mean_square)

@@ -9,7 +9,7 @@ import numpy as np
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.registers import HardwareError, Units
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import Gap, SelfCollision
@@ -31,7 +31,7 @@ SAG_READINGS = 10
 
 
 @dataclass(frozen=True)
-class Verdict:
+class MonitorResult:
     """Whether the joints are damped instead of driven, and what the operator should know, empty if all is well."""
 
     damp: bool = False
@@ -53,7 +53,7 @@ class Monitor:
         self._repeats = 1
         self._hot = self._low = 0
 
-    def judge(self, tick: int, time: float, state: State) -> Verdict:
+    def judge(self, tick: int, time: float, state: RobotState) -> MonitorResult:
         """Judge the reading of a tick by its number and the time of its deadline [s].
 
         Raises:
@@ -77,16 +77,16 @@ class Monitor:
         self._check_parts("measured", gap)
         return verdict
 
-    def judge_command(self, state: State, command: Command) -> None:
+    def judge_command(self, state: RobotState, command: Command) -> None:
         """Judge a command before it is carried out.
 
         Raises:
             Stop: if it drives parts of the robot into each other.
         """
-        stiffness, largest = command.p_gain / GAIN_HIGH, self._limits.overlap_commanded
+        stiffness, largest = command.p_gain / GAIN_HIGH, self._limits.overlap_ahead
         self._check_parts("commanded", self._parts.commanded(state.position, command.position, stiffness, largest))
 
-    def _check_shutdown(self, state: State) -> None:
+    def _check_shutdown(self, state: RobotState) -> None:
         errors = state.raw["hardware_error"]
         bad = np.flatnonzero((errors != 0) | state.alert)
         if bad.size:
@@ -102,7 +102,7 @@ class Monitor:
             reason = f"restarted by itself: {names}; check its cable and the battery"
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
 
-    def _check_jump(self, silent: np.ndarray, state: State) -> None:
+    def _check_jump(self, silent: np.ndarray, state: RobotState) -> None:
         """A controller that believes a position which cannot be drives the joint with all it has."""
         before, self._last_position = self._last_position, state.position
         if before is None:  # the start checks found all joints within their limits
@@ -119,16 +119,16 @@ class Monitor:
                 " switch the power off and on",
             )
 
-    def _check_silence(self, silent: np.ndarray) -> Verdict:
+    def _check_silence(self, silent: np.ndarray) -> MonitorResult:
         worst = int(silent.max())
         if worst == 0:
-            return Verdict()
+            return MonitorResult()
         names = [*self._joints, "the IMU"]
         who = ", ".join(names[i] for i in np.flatnonzero(silent == worst))
         note = f"no answer from {who if (silent == 0).any() else 'anything on the bus'} for {worst} ticks"
         if worst >= self._loss_ticks:
             raise Stop(ExitCode.BUS_LOSS, f"{note} ({1e3 * self._limits.loss_time:.0f} ms); check cables and power")
-        return Verdict(damp=worst > self._limits.coast_ticks, note=note)
+        return MonitorResult(damp=worst > self._limits.coast_ticks, note=note)
 
     def _check_imu(self, block: bytes) -> None:
         self._repeats = self._repeats + 1 if block == self._block else 1
@@ -147,7 +147,7 @@ class Monitor:
         if gap is not None:
             raise Stop(ExitCode.SELF_COLLISION, f"at the {whose} angles the robot hits itself: {gap}", damp=True)
 
-    def _check_heat(self, state: State) -> None:
+    def _check_heat(self, state: RobotState) -> None:
         hot = state.temperature >= self._limits.temperature
         self._hot = self._hot + 1 if hot.any() else 0
         if self._hot >= CONFIRMED:
@@ -155,7 +155,7 @@ class Monitor:
             reason = f"{self._joints[joint]} has {state.temperature[joint]:.0f} C; let it cool"
             raise Stop(ExitCode.TEMPERATURE, reason, damp=True)
 
-    def _check_supply(self, state: State) -> None:
+    def _check_supply(self, state: RobotState) -> None:
         lowest = min(float(state.voltage.min()), state.supply_voltage)
         self._low = self._low + 1 if lowest <= self._limits.voltage + 1e-9 else 0
         if self._low >= SAG_READINGS:

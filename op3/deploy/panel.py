@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.deploy.limits import Command
-from op3.deploy.monitors import Verdict
+from op3.deploy.monitors import MonitorResult
 from op3.deploy.registers import Units
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.deploy.ticker import PERIOD, Ticker
 from op3.robot import Robot
 
@@ -23,7 +23,7 @@ RECENT = 1250
 """Ticks whose lateness is shown: the last ten seconds."""
 
 
-class Panel:
+class StatusPanel:
     """Rewrites a block of text a few times a second; silent where the output is no terminal.
 
     Writing is left to a thread: a terminal that stalls, such as one at the end of a slow network, must not hold up the
@@ -43,7 +43,13 @@ class Panel:
         self.enabled = wanted and self._stream.isatty()
 
     def __call__(
-        self, phase: str, state: State, command: Command, counts: NDArray[Any], verdict: Verdict, ticker: Ticker
+        self,
+        phase: str,
+        state: RobotState,
+        command: Command,
+        counts: NDArray[Any],
+        verdict: MonitorResult,
+        ticker: Ticker,
     ) -> None:
         """Show a tick, if it is time to."""
         self._ticks += 1
@@ -94,7 +100,13 @@ class Panel:
         self._lines = len(lines)
 
     def text(
-        self, phase: str, state: State, command: Command, goal: NDArray[Any], verdict: Verdict, ticker: Ticker
+        self,
+        phase: str,
+        state: RobotState,
+        command: Command,
+        goal: NDArray[Any],
+        verdict: MonitorResult,
+        ticker: Ticker,
     ) -> list[str]:
         """One row per joint, time and attitude above, deadlines and worries below; goal currents [joint] in A."""
         timing, attitude = ticker.timing(last=RECENT), ""

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.limits import Command
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.deploy.ticker import PERIOD
+from op3.motions import Motion
+from op3.motions.motion import gain_rows, minimum_jerk, sample
+from op3.motions.motion_checks import check_motion
 from op3.policy.actions import D_GAIN, HELD_GAIN
-from op3.robot import Motion, load_robot
-from op3.robot.motion_checks import check_motion
-from op3.robot.motions import gain_rows, minimum_jerk, sample
+from op3.robot import load_robot
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ class Phase:
     name = ""
     log = "approach"
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """The command of a tick, or None when the phase is over.
 
         Args:
@@ -60,7 +61,7 @@ class GainRamp(Phase):
         self._p_gain, self._d_gain = np.asarray(p_gain, dtype=float), d_gain
         self._pose: Array | None = None
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """See `Phase`."""
         self._pose = state.position if self._pose is None else self._pose
         share = elapsed * PERIOD / GAIN_RAMP_TIME
@@ -76,7 +77,7 @@ class Relax(Phase):
     def __init__(self, pose: ArrayLike):
         self._pose = pose
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """See `Phase`."""
         share = 1 - elapsed * PERIOD / GAIN_RAMP_TIME
         return Command.of(self._pose, share * HELD_GAIN, 2 * D_GAIN) if share > 0 else None
@@ -109,7 +110,7 @@ class Move(Phase):
         self._start: Command | None = None
         self._ticks = 0
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """See `Phase`."""
         if self._start is None:
             given = None if self._given_start is None else self._given_start()
@@ -127,7 +128,7 @@ class Move(Phase):
         )
 
 
-class Hold(Phase):
+class HoldPose(Phase):
     """Hold a pose until someone says so, or for a time.
 
     Args:
@@ -153,7 +154,7 @@ class Hold(Phase):
         self._command = Command.of(pose, p_gain, d_gain)
         self._until, self._duration, self.log = until, duration, log
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """See `Phase`."""
         over = elapsed * PERIOD >= self._duration - 1e-9 or (self._until is not None and self._until())
         return None if over else self._command
@@ -168,7 +169,7 @@ class Watch(Phase):
     def __init__(self, duration: float):
         self._ticks = round(duration / PERIOD)
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """See `Phase`."""
         return Command.of(state.position, 0.0, 0.0) if elapsed < self._ticks else None
 
@@ -195,7 +196,7 @@ class FollowMotion(Phase):
         self.p_gain = gain_rows("p_gain", p_gain, self.targets.shape)
         self.d_gain = gain_rows("d_gain", d_gain, self.targets.shape)
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """See `Phase`."""
         if elapsed >= len(self.targets):
             return None

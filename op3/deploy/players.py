@@ -14,9 +14,10 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Limits
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
-from op3.deploy.session import Outcome
+from op3.deploy.session import SessionOutcome
+from op3.motions import Motion
 from op3.policy import PolicyBundle
-from op3.robot import DEFAULT, Motion, Robot
+from op3.robot import DEFAULT, Robot
 from op3.rollout import Rollout
 from op3.tasks.task import Task, find_task
 
@@ -146,7 +147,7 @@ POLICY_FAILED = (
 """Ends of an episode that its policy has to answer for, unlike those of the bus."""
 
 
-def _ending(outcome: Outcome, extra: dict[str, Any]) -> dict[str, Any]:
+def _ending(outcome: SessionOutcome, extra: dict[str, Any]) -> dict[str, Any]:
     """What the metadata of an episode say of its end."""
     if outcome.code == ExitCode.OK:
         return {}

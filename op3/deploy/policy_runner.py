@@ -14,7 +14,7 @@ from op3.deploy.command_sources import STANDING, CommandSource
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
 from op3.deploy.phases import Phase
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.deploy.ticker import PERIOD, POLICY_TICKS
 from op3.policy import PolicyBundle
 from op3.policy.actions import GAIN_HIGH
@@ -173,7 +173,7 @@ class FollowPolicy(Phase):
         self._channels: dict[Any, Array] = {}
         runner.reset()
 
-    def command(self, elapsed: int, state: State) -> Command | None:
+    def command(self, elapsed: int, state: RobotState) -> Command | None:
         """The command in force; a new one where a policy step is due.
 
         Raises:
@@ -191,7 +191,7 @@ class FollowPolicy(Phase):
             self._step(step, state)
         return self._command
 
-    def _step(self, step: int, state: State) -> None:
+    def _step(self, step: int, state: RobotState) -> None:
         if state.orientation is None or state.angular_velocity is None:
             raise Stop(ExitCode.NON_FINITE, "the policy needs an IMU, and the robot has none", damp=True)
         seen = (state.position, state.velocity, state.orientation, state.angular_velocity)

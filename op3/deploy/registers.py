@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.settings import read_yaml
 from op3.robot import Robot, asset_path
 from op3.robot.robot_file import BOARD_ID
-from op3.settings import read_yaml
 
 Array = NDArray[np.float64]
 

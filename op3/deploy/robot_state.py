@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
+from op3.common.settings import Named, Number, read_yaml, settings
 from op3.deploy.registers import (
     DYNAMIXEL_X,
     FIRST_INDIRECT_DATA,
@@ -20,7 +21,6 @@ from op3.deploy.registers import (
 )
 from op3.robot import DEFAULT, Robot, load_robot
 from op3.robot.register_units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
-from op3.settings import Named, Number, read_yaml, settings
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -89,7 +89,7 @@ BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class RobotState:
     """One tick's reading. Where something did not answer, its last values stand. Without an IMU its channels are None.
 
     Attributes:
@@ -137,7 +137,7 @@ class State:
         alert: NDArray[np.bool_],
         answered: NDArray[np.bool_],
         imu_answered: bool,
-    ) -> State:
+    ) -> RobotState:
         """Registers of `CONTENTS` in SI units, `offset` [rad] added to angles, and what the board said, if any."""
         volts, seen = units.voltage * raw["voltage"], {}
         supply = float(volts.min())

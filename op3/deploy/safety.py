@@ -27,10 +27,10 @@ from op3.deploy.dynamixel_bus import (
 )
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, CurrentLimiter, Limits
-from op3.deploy.monitors import Monitor, Verdict
+from op3.deploy.monitors import Monitor, MonitorResult
 from op3.deploy.operator import told
 from op3.deploy.registers import CURRENT_MODE, WATCHDOG_UNIT
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.deploy.start_checks import StartChecks
 from op3.deploy.ticker import PERIOD, Tick
 
@@ -114,12 +114,12 @@ class Onlooker:
     def energise(self) -> None:
         """Switch torque on."""
 
-    def assess(self, tick: Tick, state: State) -> Verdict:
+    def assess(self, tick: Tick, state: RobotState) -> MonitorResult:
         """Judge a reading: here everything is allowed, since nothing is done; losses are told."""
         silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
-        return Verdict(note=f"no answer from {', '.join(silent)}" if silent else "")
+        return MonitorResult(note=f"no answer from {', '.join(silent)}" if silent else "")
 
-    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+    def write(self, state: RobotState, command: Command, verdict: MonitorResult) -> tuple[NDArray[np.int64], Command]:
         """Carry out a command; gives goal currents [joint] in counts, and the command as it was carried out."""
         return np.zeros(len(self._joints), dtype=np.int64), command
 
@@ -232,7 +232,7 @@ class Safety(Onlooker):
         what = ", ".join(f"{name} ({there.get(name, 'no answer')})" for name in wrong)
         raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
 
-    def assess(self, tick: Tick, state: State) -> Verdict:
+    def assess(self, tick: Tick, state: RobotState) -> MonitorResult:
         """Judge a reading; raises `Stop` where the run has to end."""
         self._check_gap()
         verdict = self._monitor.judge(tick.index, tick.deadline, state)
@@ -243,7 +243,7 @@ class Safety(Onlooker):
             self._check_letting_go(state)
         return verdict
 
-    def _check_letting_go(self, state: State) -> None:
+    def _check_letting_go(self, state: RobotState) -> None:
         """A servo whose torque another program switches off answers as before, and no current follows its goal.
 
         One that turns fast has little voltage left for a current, so it is not judged.
@@ -282,7 +282,7 @@ class Safety(Onlooker):
         if off:
             raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
 
-    def write(self, state: State, command: Command, verdict: Verdict) -> tuple[NDArray[np.int64], Command]:
+    def write(self, state: RobotState, command: Command, verdict: MonitorResult) -> tuple[NDArray[np.int64], Command]:
         """PD, every limit, and the goal currents on their way.
 
         A servo that did not answer keeps its goal while coasting, and gets none while damping.

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from op3.deploy.dynamixel_bus import Bus, BusError, Unplugged
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
-from op3.deploy.monitors import Verdict
+from op3.deploy.monitors import MonitorResult
 from op3.deploy.operator import Operator, told
 from op3.deploy.phases import Phase
-from op3.deploy.robot_state import State
+from op3.deploy.robot_state import RobotState
 from op3.deploy.safety import Onlooker, Release
 from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
 from op3.rollout import LogError, Metadata, Recorder, Rollout
@@ -42,7 +42,7 @@ IMU = ("orientation", "angular_velocity", "linear_acceleration")
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SessionOutcome:
     """How a run ended: exit code and reason, finished logs by name, and how well deadlines were kept.
 
     Attributes:
@@ -178,7 +178,7 @@ class Session:
         """How well the deadlines have been kept so far."""
         return Timing() if self._ticker is None else self._ticker.timing()
 
-    def run(self, phases: Phases) -> Outcome:
+    def run(self, phases: Phases) -> SessionOutcome:
         """Check, energise, run the phases, switch off; whatever ends it is in the outcome.
 
         Anything that is no `Exception` (such as `SystemExit`) passes on after torque has been switched off.
@@ -212,7 +212,7 @@ class Session:
         if timing.ticks:
             self._report(str(timing))
         self._report(f"{code.name.lower()} ({int(code)}): {reason}")
-        return Outcome(code, reason, self._release, timing, logs, self._ended_in)
+        return SessionOutcome(code, reason, self._release, timing, logs, self._ended_in)
 
     def _work(self, phases: Phases) -> None:
         safety = self._safety
@@ -282,10 +282,10 @@ class Session:
                 if not stop.damp:
                     raise reason from stop
             command = Command.of(state.position if self.issued is None else self.issued.position, 0.0, 0.0)
-            self._carry_out(tick, state, command, Verdict(damp=True))
+            self._carry_out(tick, state, command, MonitorResult(damp=True))
 
     def _carry_out(
-        self, tick: Tick, state: State, command: Command, verdict: Verdict
+        self, tick: Tick, state: RobotState, command: Command, verdict: MonitorResult
     ) -> tuple[NDArray[np.int64], Command]:
         """Write a command and log the tick; see `Onlooker.write`."""
         counts, issued = self._safety.write(state, command, verdict)

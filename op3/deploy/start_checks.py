@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from op3.common.doctor import ADAPTERS, LATENCY, latency_timer
 from op3.deploy.dynamixel_bus import BOARD, SLOW_ANSWER, Bus, BusError, NoAnswer, Writer
 from op3.deploy.limits import Limits
 from op3.deploy.registers import OPEN_CR_MODEL, HardwareError
-from op3.deploy.robot_state import State
-from op3.doctor import ADAPTERS, LATENCY, latency_timer
+from op3.deploy.robot_state import RobotState
 from op3.robot.register_units import VOLTAGE_UNIT
 from op3.robot.self_collision import SelfCollision
 
@@ -291,7 +291,7 @@ class StartChecks:
             )
         return detail
 
-    def _read(self) -> State:
+    def _read(self) -> RobotState:
         """A reading to which everything has answered at some time."""
         heard = np.zeros(len(self._joints), dtype=bool)
         for _ in range(10):

@@ -7,7 +7,7 @@ import numpy as np
 
 from op3.diagnose.base import base_numbers
 from op3.diagnose.diagnosis import Diagnosis
-from op3.diagnose.findings import Stage
+from op3.diagnose.findings import NamingStage
 from op3.diagnose.judge import Judge
 from op3.diagnose.verdict import separating
 from op3.diagnose.visibility import size_of, smallest_sizes
@@ -56,7 +56,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
     }
 
 
-def _left_by_base(judge: Judge, stage: Stage, own: int) -> tuple[np.ndarray, np.ndarray]:
+def _left_by_base(judge: Judge, stage: NamingStage, own: int) -> tuple[np.ndarray, np.ndarray]:
     """Products of the candidates' columns that the base does not imitate, and all of them."""
     products = judge.products(stage.fit.state)
     prior = 1.0 / base_numbers(stage.base.coordinates, stage.base.point).deviation ** 2

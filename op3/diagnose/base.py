@@ -25,9 +25,9 @@ from op3.diagnose.coordinates import (
     with_own_spread,
     with_setups,
 )
-from op3.diagnose.judge import Judge, Numbers, Posterior, State
+from op3.diagnose.judge import Judge, Numbers, Posterior, Variances
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Linear, Reduction
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.servo import Estimate, RobotModel, Stage
 from op3.servo.conditions import split_name
 
@@ -58,7 +58,7 @@ SETTLED = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Base:
+class Baseline:
     """A fitted base.
 
     Attributes:
@@ -121,7 +121,7 @@ def fit_base(
     rng: np.random.Generator,
     settings: Settings = SETTINGS,
     progress: Callable[[float], None] = lambda share: None,
-) -> Base:
+) -> Baseline:
     """Fit a model's own numbers, its servos' spread and the chain of measurement.
 
     One servo may differ from the others as far as it likes while all is fitted. In the result it differs as servos of a
@@ -139,7 +139,7 @@ def fit_base(
     gears = [full, *other_forms(full, lambda effect: effect.stage in GEAR)]
     groups = [[gear, *other_forms(gear, lambda effect: effect.stage not in GEAR)] for gear in gears]
 
-    def ends() -> Iterator[Base]:
+    def ends() -> Iterator[Baseline]:
         for number, forms in enumerate(groups):
             at, point = search(thin, coordinates, rng, forms)
             yield settle(thin, at, apart(thin, at, point), settings, ELSEWHERE)
@@ -165,7 +165,7 @@ def fit_base(
     return replace(as_usual(reduction, free, settings), others=others)
 
 
-def as_usual(reduction: Reduction, base: Base, settings: Settings = SETTINGS) -> Base:
+def as_usual(reduction: Reduction, base: Baseline, settings: Settings = SETTINGS) -> Baseline:
     """A base as near to another as what is expected of a sound robot's servos lets it be.
 
     Its windows are what the other's are to first order and stay linear about the other's point, and its variances are
@@ -177,9 +177,9 @@ def as_usual(reduction: Reduction, base: Base, settings: Settings = SETTINGS) ->
     columns = np.moveaxis(base.linear.base, 0, 1)
     change = np.stack([np.tensordot(moved, reduction.tamed(of_joint), 1) for of_joint in columns])
     linear = replace(base.linear, coordinates=coordinates, lacking=base.linear.lacking - change.astype(np.float32))
-    numbers = Base(linear, base.fit).numbers
+    numbers = Baseline(linear, base.fit).numbers
     judge = Judge(reduction.rows(linear, ()), numbers, settings)
-    return Base(linear, judge.fit(state=base.fit.state, rounds=0 if moved.any() else 4))
+    return Baseline(linear, judge.fit(state=base.fit.state, rounds=0 if moved.any() else 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +202,7 @@ def _gear(model: RobotModel) -> list:
     return [effect for effect in model.effects if effect.stage in GEAR and effect.written]
 
 
-def _ranked(reduction: Reduction, bases: Iterator[Base], settings: Settings) -> tuple[Base, list[End]]:
+def _ranked(reduction: Reduction, bases: Iterator[Baseline], settings: Settings) -> tuple[Baseline, list[End]]:
     """The best of bases, and where all ended, the best first; a base holds 15 MB, and the others are let go."""
     first = best = next(bases)
     most, ends = 0.0, [End(first.coordinates, first.point, 0.0)]
@@ -214,14 +214,14 @@ def _ranked(reduction: Reduction, bases: Iterator[Base], settings: Settings) -> 
     return best, sorted(ends, key=lambda end: -end.gain)
 
 
-def _afresh(base: Base, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
+def _afresh(base: Baseline, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
     """A base with another form of its laws, and the numbers of friction where they started."""
     friction = {p.name for effect in form.effects if effect.stage == Stage.FRICTION for p in effect.parameters}
     mine = np.array([entry.parameter in friction for entry in base.coordinates.entries])
     return replace(base.coordinates, model=form), np.where(mine, base.coordinates.start, base.point)
 
 
-def _near_rest(base: Base) -> Iterator[tuple[Coordinates, np.ndarray]]:
+def _near_rest(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
     """A base whose gear loses more near rest, in every form of its law: where it has ended at nothing more, the end of
     what there may be, another form may have taken the place of that loss."""
     near = np.array([entry.parameter == "near_rest_loss" for entry in base.coordinates.entries])
@@ -229,7 +229,7 @@ def _near_rest(base: Base) -> Iterator[tuple[Coordinates, np.ndarray]]:
         yield replace(base.coordinates, model=form), np.where(near, CHAIN["near_rest_loss"].spread, base.point)
 
 
-def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
+def _timings(base: Baseline, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
     """A base with commands before the next reading where they come after it, and the other way round, whose currents
     lag the more or the less; and with commands a whole reading earlier or later.
 
@@ -249,7 +249,7 @@ def _timings(base: Base, period: float) -> Iterator[tuple[Coordinates, np.ndarra
             yield coordinates, np.clip(point, coordinates.low, coordinates.high)
 
 
-def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SETTINGS) -> float:
+def gap_of(reduction: Reduction, one: Baseline, other: Baseline, settings: Settings = SETTINGS) -> float:
     """How much worse one base is than another in minus two log evidence, mean over the reductions of both.
 
     Variances are each one's own: weights that a base gave to windows hide what it cannot explain. What numbers do is
@@ -268,7 +268,7 @@ def gap_of(reduction: Reduction, one: Base, other: Base, settings: Settings = SE
     return gap
 
 
-def unfitted(reduction: Reduction, model: RobotModel, settings: Settings = SETTINGS) -> Base:
+def unfitted(reduction: Reduction, model: RobotModel, settings: Settings = SETTINGS) -> Baseline:
     """The base as the given model says it, of logs that it simulated itself."""
     coordinates = base_coordinates(with_chain(model), reduction.engine.joints, reduction.moving)
     known = model.parameters()
@@ -368,9 +368,9 @@ def settle(
     point: np.ndarray,
     settings: Settings = SETTINGS,
     steps: int = STEPS,
-    state: State | None = None,
+    state: Variances | None = None,
     like: Linear | None = None,
-) -> Base:
+) -> Baseline:
     """Gauss-Newton from a point until the base no longer moves.
 
     What numbers do is simulated once, then corrected by what steps did (Broyden 1965), and simulated again where a step
@@ -383,15 +383,15 @@ def settle(
         done = number == steps or (fresh and gained < SETTLED)
         if done:
             linear = reduction.linearise(coordinates, point, like, linear or like)
-        elif fresh := (linear is None or gained < SETTLED):
-            linear = reduction.linearise(coordinates, point, like or linear, like)
+        elif linear is None or gained < SETTLED:
+            linear, fresh = reduction.linearise(coordinates, point, like or linear, like), True
         else:
-            linear = reduction.corrected(linear, point)
+            linear, fresh = reduction.corrected(linear, point), False
         judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
         fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
         state = fit.state
         if done:
-            return Base(linear, fit)
+            return Baseline(linear, fit)
         tried = np.concatenate([point[None], point + damped(fit, judge.numbers)])
         tried = np.clip(tried, coordinates.low, coordinates.high)
         costs = cost_of(reduction, judge, fit, linear, coordinates, tried)

@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from op3.diagnose.coordinates import CHAIN, WIDEST, Coordinate, other_forms
-from op3.diagnose.settings import Settings
+from op3.diagnose.judge_settings import Settings
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
 

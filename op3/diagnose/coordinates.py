@@ -9,7 +9,7 @@ import torch
 from scipy.stats import norm
 from torch import Tensor
 
-from op3.diagnose.settings import Settings
+from op3.diagnose.judge_settings import Settings
 from op3.servo import Effect, Parameter, RobotModel, Usual, catalogue
 from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.base import Base, at_point, fit_base, unfitted
+from op3.diagnose.base import Baseline, at_point, fit_base, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.doubts import AT_BOUND, doubts, freed, untold, unusual
-from op3.diagnose.findings import Search, Stage
+from op3.diagnose.findings import NamingStage, Search
 from op3.diagnose.held_out import Gain
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
 from op3.diagnose.unexplained import joint_gaps
@@ -77,7 +77,7 @@ class Diagnosis:
         self.without = tuple(without)
         self._progress = progress or (lambda stage, share: None)
         self.seconds: dict[str, float] = {}
-        self.stages: list[Stage] = []
+        self.stages: list[NamingStage] = []
         self.search: Search | None = None
 
     def run(self, rounds: int = 1) -> Verdict:
@@ -102,14 +102,14 @@ class Diagnosis:
                 verdict = replace(verdict, windows=windows, gap=shown["gap"], loss=shown["loss"], shown=shown)
         return verdict
 
-    def first_stage(self, fitted: bool = True) -> Stage:
+    def first_stage(self, fitted: bool = True) -> NamingStage:
         """The judge around the base with nothing named; of simulated logs around the given model as it is."""
         with threadpool_limits(1):
             reduction = self.reduction()
             base = self._base(reduction, self.given) if fitted else unfitted(reduction, self.given, self.settings)
             return self._searching(reduction).first(base)
 
-    def _base(self, reduction: Reduction, model: RobotModel) -> Base:
+    def _base(self, reduction: Reduction, model: RobotModel) -> Baseline:
         rng = np.random.default_rng([self.seed, 11])
         return fit_base(reduction, model, rng, self.settings, self._share("base"))
 
@@ -205,7 +205,7 @@ class Diagnosis:
         most = LIKELY if self._short else 1.0
         return min(most, float(1.0 / (1.0 + np.exp(-s.steepness * (z - s.threshold)))))
 
-    def _named(self, reduction: Reduction, stage: Stage) -> list[Finding]:
+    def _named(self, reduction: Reduction, stage: NamingStage) -> list[Finding]:
         """Findings of the last stage, sharing their probability with rivals."""
         assert self.search is not None
         result, joints, opened = [], reduction.engine.joints, self.search.opened(stage)
@@ -244,7 +244,7 @@ class Diagnosis:
             )
         return result
 
-    def _of_base(self, given: RobotModel, reduction: Reduction, stage: Stage) -> list[Finding]:
+    def _of_base(self, given: RobotModel, reduction: Reduction, stage: NamingStage) -> list[Finding]:
         """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""
         result, joints = [], reduction.engine.joints
         assert self.search is not None
@@ -269,7 +269,7 @@ class Diagnosis:
         return result
 
     @staticmethod
-    def _chain(base: Base) -> list[dict[str, Any]]:
+    def _chain(base: Baseline) -> list[dict[str, Any]]:
         """The numbers that joints share of the chain of measurement, beside what is usual."""
         told, known = [], base.model.parameters()
         for entry, value in zip(base.coordinates.entries, base.point, strict=True):
@@ -279,7 +279,7 @@ class Diagnosis:
                 told.append({"name": entry.parameter, **numbers, "unit": known[entry.parameter].unit})
         return told
 
-    def _ranking(self, reduction: Reduction, stage: Stage) -> list[dict[str, Any]]:
+    def _ranking(self, reduction: Reduction, stage: NamingStage) -> list[dict[str, Any]]:
         """Candidates by their log odds before anything is named."""
         odds = stage.judge.scores(stage.fit)
         best: dict[tuple, tuple[float, Candidate]] = {}

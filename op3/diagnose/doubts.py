@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from op3.diagnose.base import ELSEWHERE, Base, base_numbers, gap_of, settle
+from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, gap_of, settle
 from op3.diagnose.coordinates import CHAIN, Coordinate, Coordinates, own_spread
 from op3.diagnose.judge import Numbers, Posterior, evidence
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name
 
@@ -27,7 +27,7 @@ UNTOLD = 0.8
 """Share of its prior standard deviation that a shared number keeps if the logs do not tell it."""
 
 
-def at_bound(base: Base) -> list[Coordinate]:
+def at_bound(base: Baseline) -> list[Coordinate]:
     """Shared numbers that logs exercise and that ended where their range does, but not what physics allows."""
     result, known, unexercised = [], base.coordinates.model.parameters(), set(untold(base))
     for entry, value in zip(base.coordinates.entries, base.point, strict=True):
@@ -40,7 +40,7 @@ def at_bound(base: Base) -> list[Coordinate]:
     return result
 
 
-def opened(base: Base, numbers: Sequence[Coordinate]) -> Coordinates:
+def opened(base: Baseline, numbers: Sequence[Coordinate]) -> Coordinates:
     """The base's numbers, some of them with three times their range, as far as physics allows."""
     known = base.coordinates.model.parameters()
 
@@ -53,7 +53,7 @@ def opened(base: Base, numbers: Sequence[Coordinate]) -> Coordinates:
     return replace(base.coordinates, entries=entries)
 
 
-def doubts(base: Base) -> tuple[str, ...]:
+def doubts(base: Baseline) -> tuple[str, ...]:
     """Shared numbers that ended at a bound, and other starts that ended as well elsewhere."""
     result, known = [], base.coordinates.model.parameters()
     for entry in at_bound(base):
@@ -74,7 +74,7 @@ def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> l
     return [entry.parameter for entry, is_far in zip(coordinates.entries, far, strict=True) if entry.shared and is_far]
 
 
-def untold(base: Base) -> list[str]:
+def untold(base: Baseline) -> list[str]:
     """Shared numbers that do something, of which the logs say little more than their priors."""
     kept = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation * base.linear.base.any((1, 2, 3))
     both = zip(base.coordinates.entries, kept, strict=True)
@@ -99,7 +99,7 @@ class Unusual:
 
 
 def unusual(
-    given: RobotModel, base: Base, fit: Posterior, numbers: Numbers, settings: Settings = SETTINGS
+    given: RobotModel, base: Baseline, fit: Posterior, numbers: Numbers, settings: Settings = SETTINGS
 ) -> list[Unusual]:
     """How far each of the chain's numbers is from what is usual, or from what the given model says.
 
@@ -128,8 +128,8 @@ def unusual(
 
 
 def freed(
-    reduction: Reduction, base: Base, number: int, held: Coordinate, settings: Settings = SETTINGS
-) -> tuple[Base, Base]:
+    reduction: Reduction, base: Baseline, number: int, held: Coordinate, settings: Settings = SETTINGS
+) -> tuple[Baseline, Baseline]:
     """The base with a number free, and the base in which it is what is usual, all else fitted anew.
 
     Where joints stick a fit may end with a number that some others might have been instead: bases in which it is held
@@ -139,7 +139,7 @@ def freed(
     entries[number], point[number] = held, held.prior
     coordinates = replace(base.coordinates, entries=tuple(entries))
 
-    def better(one: Base, within: Coordinates, start: np.ndarray) -> Base:
+    def better(one: Baseline, within: Coordinates, start: np.ndarray) -> Baseline:
         other = settle(reduction, within, start, settings, ELSEWHERE, one.fit.state)
         return other if gap_of(reduction, one, other, settings) > 0 else one
 

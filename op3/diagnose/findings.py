@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from op3.diagnose.base import ELSEWHERE, Base, base_numbers, robust, settle, thin_windows
+from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, robust, settle, thin_windows
 from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors, secants_of_place
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.doubts import at_bound, opened
-from op3.diagnose.held_out import Gain, HeldOut, Score
-from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, State, log_mass
+from op3.diagnose.held_out import Gain, HeldOut, HeldOutScore
+from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, Variances, log_mass
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import COARSE, Reduction
 from op3.diagnose.relevance import Relevance, relevance
-from op3.diagnose.settings import SETTINGS, Settings
 
 MOST = 3
 """Findings that are looked for, and places of which candidates are refitted."""
@@ -51,7 +51,7 @@ class Proposal:
     number: int
     step: np.ndarray
     share: float
-    state: State
+    state: Variances
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Refit:
     """
 
     log_odds: float
-    base: Base
+    base: Baseline
     number: int
     coordinates: tuple[Coordinate, ...]
 
@@ -85,7 +85,7 @@ class Judged:
 
     refit: Refit
     candidate: Candidate
-    score: Score
+    score: HeldOutScore
     gain: Gain
     relevance: Relevance
 
@@ -130,7 +130,7 @@ class Named:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class NamingStage:
     """The judge around a base with some effects named.
 
     Attributes:
@@ -142,7 +142,7 @@ class Stage:
         fit: with nothing else named.
     """
 
-    base: Base
+    base: Baseline
     named: tuple[Named, ...]
     found: tuple[Candidate, ...]
     columns: Mapping[tuple, np.ndarray]
@@ -151,7 +151,7 @@ class Stage:
 
 
 def numbers_of(
-    base: Base, found: Sequence[Candidate], parts: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
+    base: Baseline, found: Sequence[Candidate], parts: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
 ) -> Numbers:
     """Priors of the base's numbers and of the candidates.
 
@@ -212,7 +212,7 @@ class Search:
         self.held, self.thin = HeldOut(reduction), reduction.thinned(thin_windows(reduction))
         self.considered: list[Judged] = []
 
-    def first(self, base: Base) -> Stage:
+    def first(self, base: Baseline) -> NamingStage:
         """The judge around a base with nothing named."""
         found = self._candidates(base)
         columns = self._columns(base, parts_of(found), lambda share: self.progress(0.4 * share))
@@ -220,34 +220,34 @@ class Search:
             return self._stage(base, (), found, columns, base.fit.state, 0)
         return self._stage(base, (), found, columns, None)
 
-    def _candidates(self, base: Base, named: Sequence[Named] = ()) -> tuple[Candidate, ...]:
+    def _candidates(self, base: Baseline, named: Sequence[Named] = ()) -> tuple[Candidate, ...]:
         """All that could be missing but what is named."""
         engine, taken = self.reduction.engine, {one.candidate.place for one in named}
         found = candidates(base.model, engine.joints, self.reduction.moving, engine.mirror, self.without)
         return tuple(one for one in found if one.place not in taken)
 
     def _columns(
-        self, base: Base, parts: Sequence[Candidate], progress: Callable[[float], None] | None = None
+        self, base: Baseline, parts: Sequence[Candidate], progress: Callable[[float], None] | None = None
     ) -> dict[tuple, np.ndarray]:
         made = self.reduction.columns(base.linear, parts, progress)
         return {one.key: column for one, column in zip(parts, made, strict=True)}
 
     def _stage(
         self,
-        base: Base,
+        base: Baseline,
         named: tuple[Named, ...],
         found: tuple[Candidate, ...],
         columns: Mapping[tuple, np.ndarray],
-        state: State | None,
+        state: Variances | None,
         rounds: int = 6,
         like: Rows | None = None,
-    ) -> Stage:
+    ) -> NamingStage:
         rows = self.reduction.rows(base.linear, list(columns.values()), like)
         numbers = numbers_of(base, found, list(columns), rows, self.settings)
         judge = Judge(rows, numbers, self.settings)
-        return Stage(base, named, found, columns, judge, judge.fit(state=state, rounds=rounds))
+        return NamingStage(base, named, found, columns, judge, judge.fit(state=state, rounds=rounds))
 
-    def run(self, base: Base, most: int = MOST) -> list[Stage]:
+    def run(self, base: Baseline, most: int = MOST) -> list[NamingStage]:
         """Stages with nothing named, one effect named, two, as far as runs that were left out are predicted better."""
         stages = [self.first(base)]
         for number in range(most):
@@ -268,7 +268,7 @@ class Search:
         """Whether runs that were left out are predicted better beyond chance."""
         return gain.z >= self.settings.threshold
 
-    def further(self, stage: Stage) -> Stage | None:
+    def further(self, stage: NamingStage) -> NamingStage | None:
         """The stage with one more effect named; None where none is worth it."""
         odds, shared = stage.judge.scores(stage.fit), self.shared(stage)
         leaders = self.leaders(stage, odds, stage.fit.state)
@@ -280,7 +280,7 @@ class Search:
         odds = np.where(self._in_wild_windows(stage), gaussian.scores(gaussian.fit(rounds=6)), -np.inf)
         return self._name(stage, self.leaders(stage, odds, None))
 
-    def leaders(self, stage: Stage, odds: np.ndarray, state: State | None) -> list[Proposal]:
+    def leaders(self, stage: NamingStage, odds: np.ndarray, state: Variances | None) -> list[Proposal]:
         """Candidates of a few places, estimated anew with everything else, best first, and behind them those of their
         family: other names for what they do.
 
@@ -318,7 +318,7 @@ class Search:
         kept = {*first, *[place for place in places[MOST:] if place in behind][:MOST]}
         return [one for _, one in estimates if stage.found[one.number].place in kept]
 
-    def shared(self, stage: Stage) -> list[Proposal]:
+    def shared(self, stage: NamingStage) -> list[Proposal]:
         """Candidates of all joints that are evident once the base has taken a step with them, best first.
 
         Numbers that all joints share take such an effect's place as far as they can, and where they have, nothing that
@@ -329,7 +329,7 @@ class Search:
         here = settle(thin, base.coordinates, base.point, self.settings, steps=0)
         rows = thin.rows(here.linear, ())
 
-        def step(joined: Coordinates, point: np.ndarray) -> tuple[Base, float]:
+        def step(joined: Coordinates, point: np.ndarray) -> tuple[Baseline, float]:
             end = settle(thin, joined, point, self.settings, steps=1, state=here.fit.state, like=here.linear)
             judge = Judge(thin.rows(end.linear, (), rows), base_numbers(joined, end.point), self.settings)
             return end, judge.fit(state=end.fit.state, rounds=2).evidence
@@ -352,18 +352,18 @@ class Search:
         proposed.sort(key=lambda one: -one[0])
         return [one for gain, one in proposed if gain > 0.0][:MOST]
 
-    def _joined(self, stage: Stage, number: int, share: float) -> Coordinates:
+    def _joined(self, stage: NamingStage, number: int, share: float) -> Coordinates:
         """The base's numbers and a candidate's, which begin at a share of its secant."""
         candidate, coordinates = stage.found[number], stage.base.coordinates
         model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
         more = candidate.coordinates(stage.base.model, coordinates.entries, share, self.settings)
         return coordinates.extended(model, more)
 
-    def _prior(self, stage: Stage, number: int, joined: Coordinates) -> float:
+    def _prior(self, stage: NamingStage, number: int, joined: Coordinates) -> float:
         """Log prior of a candidate's place, and of its numbers' being within their ranges."""
         return float(place_priors(stage.found)[number]) - _within(joined.entries[len(stage.base.point) :])
 
-    def _in_wild_windows(self, stage: Stage) -> np.ndarray:
+    def _in_wild_windows(self, stage: NamingStage) -> np.ndarray:
         """Candidates most of whose torque lies in windows that Student's tails weigh down, ``[candidate]``."""
         total, wild = np.zeros((2, len(stage.judge.numbers.mean)))
         for j, (at, values) in enumerate(zip(stage.judge.rows.columns, stage.judge.rows.values, strict=True)):
@@ -373,7 +373,7 @@ class Search:
         members = [list(one) for one in stage.judge.numbers.members]
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
-    def _name(self, stage: Stage, proposals: Sequence[Proposal]) -> Stage | None:
+    def _name(self, stage: NamingStage, proposals: Sequence[Proposal]) -> NamingStage | None:
         """The proposals refitted with the base; the one named that predicts runs that were left out best, with those
         that are not distinguished from it; None where none predicts them better beyond chance, or all do too little."""
         if not proposals:
@@ -395,7 +395,7 @@ class Search:
         named = Named(best.candidate, best.refit.coordinates, best.refit.log_odds, best.gain, best.relevance, rivals)
         return self._around(stage, best.refit.base, (*stage.named, named))
 
-    def _judged(self, stage: Stage, refit: Refit, without: Score) -> Judged:
+    def _judged(self, stage: NamingStage, refit: Refit, without: HeldOutScore) -> Judged:
         """A refit beside the model without it; what it does is held against what named effects of its family do."""
         candidate, base, rows = stage.found[refit.number], refit.base, stage.judge.rows
         related = [one for one in stage.named if candidate.effect.related({one.candidate.effect.name})]
@@ -405,7 +405,7 @@ class Search:
         score = self.held.score(base, rows)
         return Judged(refit, candidate, score, Gain.of(score, without), does)
 
-    def with_best(self, stage: Stage, proposals: Sequence[Proposal]) -> Stage:
+    def with_best(self, stage: NamingStage, proposals: Sequence[Proposal]) -> NamingStage:
         """The stage with the most evident of proposals named, whether or not runs that were left out bear it out."""
         best = self._refitted(stage, proposals)[0][0]
         rows = stage.judge.rows
@@ -414,7 +414,7 @@ class Search:
         named = Named(stage.found[best.number], best.coordinates, best.log_odds, gain, does)
         return self._around(stage, best.base, (*stage.named, named))
 
-    def _refitted(self, stage: Stage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Base]:
+    def _refitted(self, stage: NamingStage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Baseline]:
         """Proposals refitted with the base, the best of each place, the most evident first; and the base refitted
         without, from where the most evident has left it.
 
@@ -424,12 +424,12 @@ class Search:
         coordinates, point = stage.base.coordinates, stage.base.point
         best: dict[Place, Refit] = {}
 
-        def refit(joined: Coordinates, start: np.ndarray, state: State, steps: int = 2) -> Stage:
+        def refit(joined: Coordinates, start: np.ndarray, state: Variances, steps: int = 2) -> NamingStage:
             base = settle(self.reduction, joined, start, self.settings, steps, state, stage.base.linear)
             self.reduction.forget()
             return self._stage(base, stage.named, stage.found, stage.columns, state, 2, stage.judge.rows)
 
-        def compared(number: int, end: Stage, base: float) -> Refit:
+        def compared(number: int, end: NamingStage, base: float) -> Refit:
             gain = end.fit.evidence - base + self._prior(stage, number, end.base.coordinates)
             return Refit(gain, end.base, number, end.base.coordinates.entries[len(point) :])
 
@@ -466,7 +466,7 @@ class Search:
         self.thin.forget()
         return starts[int(costs.argmin())]
 
-    def _around(self, stage: Stage, base: Base, named: tuple[Named, ...]) -> Stage:
+    def _around(self, stage: NamingStage, base: Baseline, named: tuple[Named, ...]) -> NamingStage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
         base = settle(self.reduction, base.coordinates, base.point, self.settings, state=base.fit.state)
         odds, found = stage.judge.scores(stage.fit), self._candidates(base, named)
@@ -475,7 +475,7 @@ class Search:
         columns = {**stage.columns, **self._columns(base, parts)}
         return self._stage(base, named, found, {one.key: columns[one.key] for one in parts_of(found)}, base.fit.state)
 
-    def _less(self, stage: Stage, kept: Sequence[Named], steps: int) -> Base:
+    def _less(self, stage: NamingStage, kept: Sequence[Named], steps: int) -> Baseline:
         """The base with some of its names only, fitted from where it is with all."""
         gone = [entry for one in stage.named if one not in kept for entry in one.coordinates]
         whole = stage.base.coordinates
@@ -484,14 +484,14 @@ class Search:
         state, like = stage.base.fit.state, stage.base.linear
         return settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps, state, like)
 
-    def backward(self, stage: Stage) -> list[Gain]:
+    def backward(self, stage: NamingStage) -> list[Gain]:
         """The gain of the model on the model without each named effect, fitted from where it is with it."""
         rows = stage.judge.rows
         score = self.held.score(stage.base, rows)
         rest = [[other for other in stage.named if other is not one] for one in stage.named]
         return [Gain.of(score, self.held.score(self._less(stage, kept, ELSEWHERE), rows)) for kept in rest]
 
-    def opened(self, stage: Stage) -> list[Gain] | None:
+    def opened(self, stage: NamingStage) -> list[Gain] | None:
         """Gains of named effects with the ranges of numbers opened that ended at a bound, which might imitate them;
         None where no number did."""
         if not stage.named or not (numbers := at_bound(stage.base)):
@@ -500,13 +500,13 @@ class Search:
         base = settle(self.reduction, opened(stage.base, numbers), stage.base.point, self.settings, ELSEWHERE, state)
         return self.backward(replace(stage, base=base))
 
-    def _with_gains(self, stage: Stage, gains: Sequence[Gain]) -> Stage:
+    def _with_gains(self, stage: NamingStage, gains: Sequence[Gain]) -> NamingStage:
         """The stage with gains as they are beside all that is named."""
         named = tuple(replace(one, gain=gain) for one, gain in zip(stage.named, gains, strict=True))
         return replace(stage, named=named)
 
 
-def _one_of_each(stage: Stage, ranked: Sequence[tuple[float, list[int]]]) -> list[tuple[float, list[int]]]:
+def _one_of_each(stage: NamingStage, ranked: Sequence[tuple[float, list[int]]]) -> list[tuple[float, list[int]]]:
     """The best place of each effect."""
     best: dict[str, tuple[float, list[int]]] = {}
     for odds, mine in ranked:
@@ -514,7 +514,7 @@ def _one_of_each(stage: Stage, ranked: Sequence[tuple[float, list[int]]]) -> lis
     return list(best.values())
 
 
-def _alike(one: Score, other: Score, without: Score) -> bool:
+def _alike(one: HeldOutScore, other: HeldOutScore, without: HeldOutScore) -> bool:
     """Whether two models predict the same joints of the same runs better: the correlation of their gains."""
     first, second = ((score.density - without.density).ravel() for score in (one, other))
     return float(first @ second) > ALIKE * float(np.linalg.norm(first) * np.linalg.norm(second))

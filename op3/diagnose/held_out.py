@@ -14,8 +14,8 @@ import numpy as np
 from scipy import linalg
 from scipy.stats import norm, t
 
-from op3.diagnose.base import Base, base_numbers
-from op3.diagnose.judge import HEAVIEST, LIGHTEST, Judge, Rows, State
+from op3.diagnose.base import Baseline, base_numbers
+from op3.diagnose.judge import HEAVIEST, LIGHTEST, Judge, Rows, Variances
 from op3.diagnose.reduction import Reduction
 
 FOLDS = 6
@@ -31,7 +31,7 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class HeldOutScore:
     """Log densities of what a model leaves of runs that it was not fitted to, ``[run, joint]``."""
 
     density: np.ndarray
@@ -54,7 +54,7 @@ class Gain:
     runs: int
 
     @classmethod
-    def of(cls, better: Score, other: Score) -> "Gain":
+    def of(cls, better: HeldOutScore, other: HeldOutScore) -> "Gain":
         """The gain of one model on another."""
         apart = (better.density - other.density).sum(1)
         count, mean = len(apart), float(apart.mean())
@@ -86,7 +86,7 @@ class HeldOut:
             self.runs = np.unique(logs, return_inverse=True)[1]
         self._folds = [np.isin(self.runs, runs) for runs in _dealt(int(self.runs.max()) + 1)]
 
-    def score(self, base: Base, like: Rows) -> Score:
+    def score(self, base: Baseline, like: Rows) -> HeldOutScore:
         """The log densities of a fitted base; the sensors' and the edge of sticking's noise are those of other rows."""
         reduction, point, own = self.reduction, base.point, base.coordinates
         rows = reduction.rows(base.linear, (), like)
@@ -105,7 +105,7 @@ class HeldOut:
                 for j in range(len(rows.joints)):
                     args = left[j, mine], rows.variance[j, mine], rows.features[j, mine], rows.kinds
                     density[run, j] = log_density(*args, state.noise[j], state.law[j], reduction.settings.tails)
-        return Score(density)
+        return HeldOutScore(density)
 
 
 def _dealt(runs: int) -> list[np.ndarray]:
@@ -121,8 +121,8 @@ def _some(rows: Rows, kept: np.ndarray) -> Rows:
     return replace(rows, **parts, values=values)
 
 
-def _of_some(state: State, kept: np.ndarray) -> State:
-    return State(state.noise, state.law, state.weight[:, :, kept])
+def _of_some(state: Variances, kept: np.ndarray) -> Variances:
+    return Variances(state.noise, state.law, state.weight[:, :, kept])
 
 
 def log_density(

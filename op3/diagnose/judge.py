@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 from scipy.stats import norm
 
-from op3.diagnose.settings import SETTINGS, Settings
+from op3.diagnose.judge_settings import SETTINGS, Settings
 
 GRID = np.exp(np.linspace(np.log(0.02), np.log(30.0), 30))
 """Standard deviations of a joint's noise that are tried [units]."""
@@ -90,7 +90,7 @@ class Numbers:
 
 
 @dataclass
-class State:
+class Variances:
     """Variances: noise ``[joint, kind]``, size of the unexplained law ``[joint]``, weights ``[torque | current | rate,
     joint, window]``."""
 
@@ -98,9 +98,9 @@ class State:
     law: np.ndarray
     weight: np.ndarray
 
-    def copy(self) -> "State":
+    def copy(self) -> "Variances":
         """The same, to be changed."""
-        return State(self.noise.copy(), self.law.copy(), self.weight.copy())
+        return Variances(self.noise.copy(), self.law.copy(), self.weight.copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class Posterior:
     precision: np.ndarray
     evidence: float
     laws: tuple[np.ndarray, ...]
-    state: State
+    state: Variances
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -145,19 +145,21 @@ class Judge:
         self.group = rows.kinds // 2
         self.counts = np.bincount(self.group)
         groups = len(self.counts)
-        self.start = State(np.full((joints, 2 * groups), 0.5), np.full(joints, 0.2), np.ones((groups, joints, windows)))
+        self.start = Variances(
+            np.full((joints, 2 * groups), 0.5), np.full(joints, 0.2), np.ones((groups, joints, windows))
+        )
         self._f = rows.features.reshape(joints, -1, rows.features.shape[-1])
-        self._kept: tuple[State, tuple] | None = None
+        self._kept: tuple[Variances, tuple] | None = None
         least, most = (np.broadcast_to(end, numbers.mean.shape) for end in (numbers.least, numbers.most))
         self._bounded = np.flatnonzero(np.isfinite(least) | np.isfinite(most))
         self._ends = least[self._bounded], most[self._bounded]
 
-    def variance(self, joint: int, state: State) -> np.ndarray:
+    def variance(self, joint: int, state: Variances) -> np.ndarray:
         """Of every row, ``[window, row]``."""
         known = self.rows.variance[joint] + state.noise[joint, self.rows.kinds] ** 2
         return known / state.weight[self.group, joint].T
 
-    def _gram(self, state: State) -> tuple[np.ndarray, float, list]:
+    def _gram(self, state: Variances) -> tuple[np.ndarray, float, list]:
         """Products of measurement and numbers under the noise, each joint's law integrated out; log determinant."""
         size, total = len(self.numbers.mean) + 1, 0.0
         gram, kept = np.zeros((size, size)), []
@@ -184,7 +186,7 @@ class Judge:
             sums[list(self.numbers.members[candidate]), column] = 1.0
         return sums
 
-    def fit(self, named: Sequence[int] = (), state: State | None = None, rounds: int = 4) -> Posterior:
+    def fit(self, named: Sequence[int] = (), state: Variances | None = None, rounds: int = 4) -> Posterior:
         """Numbers and variances by rounds of expectation-maximisation from a state on, some candidates named: there as
         much as the slab allows, beside their spikes."""
         n, sums, given = self.numbers, self.sums(named), state or self.start
@@ -220,7 +222,7 @@ class Judge:
         within = float(log_mass(*self._ends, x[self._bounded], deviation).sum())
         return Posterior(x, products, -0.5 * (square + logdet) + within + self._hyper(state), laws, state)
 
-    def _hyper(self, state: State) -> float:
+    def _hyper(self, state: Variances) -> float:
         """Log prior of the variances."""
         s = self.settings
         result = -0.5 * (((np.log(state.noise[:, :2] / s.noise)) / s.noise_spread) ** 2).sum()
@@ -235,7 +237,7 @@ class Judge:
         made = np.tensordot(x[self.rows.columns[joint]], self.rows.values[joint], 1)
         return self.rows.measured[joint] - made - self.rows.features[joint] @ law
 
-    def _maximise(self, state: State, x: np.ndarray, laws: Sequence[np.ndarray], factors: Sequence) -> None:
+    def _maximise(self, state: Variances, x: np.ndarray, laws: Sequence[np.ndarray], factors: Sequence) -> None:
         """New noise, weights and sizes of the laws."""
         s = self.settings
         for j, (law, factor) in enumerate(zip(laws, factors, strict=True)):
@@ -291,7 +293,7 @@ class Judge:
         with_it = log_mass(least, most, moved, np.sqrt(square + pull**2 * variance))
         return (with_it - log_mass(least, most, mean, np.sqrt(square))).sum(0)
 
-    def products(self, state: State) -> np.ndarray:
+    def products(self, state: Variances) -> np.ndarray:
         """Products of the numbers' columns under the noise, every joint's law integrated out, ``[number, number]``."""
         return self._gram(state)[0][1:, 1:]
 

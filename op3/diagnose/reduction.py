@@ -22,9 +22,9 @@ from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import SPREAD_LIMIT, Coordinate, Coordinates
 from op3.diagnose.features import FLOORS, PIECES, random_features
 from op3.diagnose.judge import Rows
+from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.rates import ESTIMATE, RATES, filtered, read, rounding
 from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
-from op3.diagnose.settings import SETTINGS, Settings
 from op3.replay.windows import WindowResiduals
 from op3.servo import RobotModel, parameter
 from op3.servo.conditions import split_name

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from op3.diagnose.base import Base
+from op3.diagnose.base import Baseline
 from op3.diagnose.judge import Rows
+from op3.diagnose.judge_settings import Settings
 from op3.diagnose.reduction import PIECES, Reduction
-from op3.diagnose.settings import Settings
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Relevance:
 
 
 def relevance(
-    reduction: Reduction, base: Base, size: int, rows: Rows, settings: Settings, relatives: Sequence[int] = ()
+    reduction: Reduction, base: Baseline, size: int, rows: Rows, settings: Settings, relatives: Sequence[int] = ()
 ) -> Relevance:
     """What an effect in a fitted base does.
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from op3.common.sample_intervals import bootstrap_interval
 from op3.diagnose.split import LogSplit
 from op3.identify.loss import TrajectoryLoss
 from op3.replay.free_runs import FreeRuns, by_second
 from op3.rollout import Rollout
-from op3.sample_intervals import bootstrap_interval
 from op3.servo import RobotModel
 
 REPEATS = 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from op3.diagnose.findings import Stage
+from op3.diagnose.findings import NamingStage
 from op3.diagnose.reduction import PIECES, Reduction
 from op3.diagnose.verdict import JointGap
 
@@ -10,7 +10,7 @@ BINS = 8
 """Ranges of an input, each with as many windows, over which an unexplained torque is averaged."""
 
 
-def lacking(reduction: Reduction, stage: Stage) -> np.ndarray:
+def lacking(reduction: Reduction, stage: NamingStage) -> np.ndarray:
     """Torque that each joint lacks at a stage, root mean square over windows by their weight [units], ``[joint]``."""
     own = np.concatenate([stage.fit.mean[: len(stage.base.point)], np.zeros(len(stage.found))])
     mean, result = reduction.kinds == 0, []
@@ -22,7 +22,7 @@ def lacking(reduction: Reduction, stage: Stage) -> np.ndarray:
     return np.array(result) / np.sqrt(PIECES)
 
 
-def joint_gaps(reduction: Reduction, first: Stage, last: Stage) -> dict[str, JointGap]:
+def joint_gaps(reduction: Reduction, first: NamingStage, last: NamingStage) -> dict[str, JointGap]:
     """What each joint that moves lacks under the base and with everything named.
 
     What nobody explains is flagged where it is larger than of two standard deviations of sound joints.

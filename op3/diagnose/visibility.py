@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.diagnose.findings import Stage
+from op3.diagnose.findings import NamingStage
 from op3.diagnose.judge import evidence
 from op3.servo.effect import parameter
 
@@ -13,7 +13,7 @@ SIZES = np.geomspace(0.02, 20.0, 60)
 """Shares of a secant that are tried."""
 
 
-def smallest_sizes(stage: Stage) -> np.ndarray:
+def smallest_sizes(stage: NamingStage) -> np.ndarray:
     """Share of each candidate's secant from which on its expected log odds reach the alarm; infinite if none does."""
     n, settings = stage.judge.numbers, stage.judge.settings
     _, h = stage.judge.of_candidates(stage.fit)
@@ -26,14 +26,14 @@ def smallest_sizes(stage: Stage) -> np.ndarray:
     return result
 
 
-def size_of(stage: Stage, i: int, share: float) -> dict[str, Any] | None:
+def size_of(stage: NamingStage, i: int, share: float) -> dict[str, Any] | None:
     """The size of a candidate at a share of its secant; None where that is infinite."""
     known = parameter(stage.found[i].sized)
     size = float(f"{abs(share * stage.found[i].secant[known.name]):.3g}")
     return {"size": size, "unit": known.unit} if np.isfinite(share) else None
 
 
-def not_shown(stage: Stage, joints: Sequence[str]) -> dict[str, list[str]]:
+def not_shown(stage: NamingStage, joints: Sequence[str]) -> dict[str, list[str]]:
     """Effects that no plausible size of which would have been proposed, and the joints in which that is so; no joint
     for those of all joints alike."""
     seen: dict[tuple[str, tuple[int, ...] | None], bool] = {}

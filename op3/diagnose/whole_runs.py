@@ -9,21 +9,21 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from op3.diagnose.base import Base
+from op3.diagnose.base import Baseline
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.refine import refine
 from op3.identify.sensitivity import Box
+from op3.replay import Replay
 from op3.replay.free_runs import settle_time
+from op3.replay.setups import BENCH_CONTROL_PERIOD
 from op3.replay.windows import LENGTHS
 from op3.rollout import Rollout
-from op3.tasks import Replay
-from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
 REACH = 50.0
 """Standard deviations of the windows by which a number may move: what they model wrong is no noise."""
 
 
-def on_whole_runs(base: Base, logs: Sequence[Rollout]) -> np.ndarray | None:
+def on_whole_runs(base: Baseline, logs: Sequence[Rollout]) -> np.ndarray | None:
     """The point of a base at which it predicts the angles of whole runs best, by its shared numbers.
 
     None where that costs too much, which it does but for the closed form of a bench, or whole runs tell nothing.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.diagnose.base import Base
+from op3.diagnose.base import Baseline
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.split import LogSplit
 from op3.replay.windows import LENGTHS, WindowResiduals
@@ -88,7 +88,7 @@ class WindowGaps:
 
 
 def window_gaps(
-    models: Sequence[RobotModel], base: Base, split: LogSplit, logs: Sequence[Rollout]
+    models: Sequence[RobotModel], base: Baseline, split: LogSplit, logs: Sequence[Rollout]
 ) -> WindowGaps | None:
     """Errors of the given model, the baseline fit and the returned model; None where no log is as long as a window.
 
@@ -161,7 +161,7 @@ def _errors(engine: WindowResiduals, model: RobotModel) -> np.ndarray:
 
 
 def _torques(
-    reduction: Reduction, base: Base, models: Sequence[RobotModel]
+    reduction: Reduction, base: Baseline, models: Sequence[RobotModel]
 ) -> dict[str, tuple[np.ndarray, float | None, float]]:
     """Mean squares of the torques that joints lack under the models, the sensors' floor and the load's mean square."""
     reducers, variance = reduction.reducers(base.coordinates, base.point)

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from op3.assets import here_or_shipped
+from op3.common.assets import here_or_shipped
 from op3.envs.batched import BatchedEnv
 from op3.envs.factory import make_env
 from op3.policy import ActionMap, PolicyBundle

@@ -10,15 +10,16 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
-from op3.robot import build_scene, load_robot, tile_ids
+from op3.robot import load_robot
+from op3.scenes import build_scene, tile_ids
 from op3.servo import RobotModel
 from op3.sim import BatchSimulation, attach_servos
 from op3.sim.batch_simulation import torch_view
 from op3.tasks.episodes import World, episode_seed
 from op3.tasks.mdp import Mdp
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, TICKS, Task
 from op3.tasks.whole_step import WholeStep
@@ -83,7 +84,7 @@ class BatchedEnv(EnvBase):
         """Commands the servos itself at every tick, as `op3.tasks.StiffWalk` does; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
         """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
-        set_specs(self, task, self.action_map, self.mdp.observer.size, num_envs)
+        set_specs(self, self.mdp)
         self.set_seed(seed)
 
     def _simulate(self, timestep: float | None) -> float:
@@ -98,7 +99,7 @@ class BatchedEnv(EnvBase):
             self.scene.joint_names,
             self.model,
             self._num_envs,
-            control_period=OP3_CONTROL_PERIOD,
+            control_period=CONTROL_PERIOD,
             base_body=None if robot.robot.file.base is None else robot.trunk.full_identifier,
             num_threads=self._num_threads,
         )
@@ -188,7 +189,7 @@ class BatchedEnv(EnvBase):
         commands = self._scaled(self.mdp.resting_commands(len(rows)))
         every = len(rows) == self.num_envs
         self.simulation.reset(episodes.qpos, commands, episodes.qvel, rows=None if every else rows)
-        return answer(self.task, self.mdp.begun(self.snapshot()))
+        return answer(self.mdp, self.mdp.begun(self.snapshot()))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
@@ -196,7 +197,7 @@ class BatchedEnv(EnvBase):
         time = self.mdp.time.numpy()
         self._whole_step.begin(self._sites)
         for tick in range(TICKS):
-            now = time + tick * OP3_CONTROL_PERIOD
+            now = time + tick * CONTROL_PERIOD
             if self.commander is not None:
                 self.simulation.command(**self.commander.commands(torch.from_numpy(now)))
             if self.on_tick is not None:
@@ -205,7 +206,7 @@ class BatchedEnv(EnvBase):
             self.simulation.advance()
         throughout = self._whole_step.result()
         outcome = self.mdp.finish(action, self.snapshot(), throughout, self.simulation.failed)
-        return answer(self.task, outcome.observation, outcome, throughout)
+        return answer(self.mdp, outcome.observation, outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
         """Commands as the servos get them."""

@@ -28,7 +28,7 @@ class ComposerEnv(EnvBase):
         self.composer_task = ComposerTask(task, model, seed, action_map)
         self.composer = composer_environment(self.composer_task, seed)
         self.task, self.model, self.action_map = task, model, self.composer_task.action_map
-        set_specs(self, task, self.action_map, self.composer_task.mdp.observer.size, 1)
+        set_specs(self, self.composer_task.mdp)
 
     def _set_seed(self, seed: int | None) -> None:
         self.composer_task.seed(0 if seed is None else int(seed))
@@ -36,9 +36,9 @@ class ComposerEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         del tensordict, kwargs
         self.composer.reset()
-        return answer(self.task, self.composer_task.observation)
+        return answer(self.composer_task.mdp, self.composer_task.observation)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self.composer.step(tensordict["action"][0].double().numpy())
         made = self.composer_task
-        return answer(self.task, made.observation, made.outcome, made.throughout)
+        return answer(made.mdp, made.observation, made.outcome, made.throughout)

@@ -7,11 +7,10 @@ from typing import Any
 from torchrl.envs import EnvBase
 
 from op3.envs.batched import BatchedEnv
-from op3.envs.composed import ComposerEnv
 from op3.robot import load_robot
 from op3.servo import RobotModel
 from op3.sim import model_for
-from op3.tasks.randomisation import Randomisation
+from op3.tasks.randomisation import ParameterRanges
 from op3.tasks.task import Task, find_task
 
 BACKENDS = ("batched", "composer")
@@ -23,7 +22,7 @@ def make_env(
     num_envs: int | None = None,
     seed: int = 0,
     backend: str = "batched",
-    randomisation: str | Randomisation | None = None,
+    randomisation: str | ParameterRanges | None = None,
     **options: Any,
 ) -> EnvBase:
     """An environment with the keys observation, action, reward, reward_terms, done, terminated and truncated.
@@ -46,22 +45,23 @@ def make_env(
         if "current_pd" not in model.effect_names and task.action_map().gain_low is not None:
             raise ValueError(f"model={name}: its servos take no gains, which a task commands; choose one such as paper")
     if isinstance(randomisation, str):
-        randomisation = Randomisation(randomisation)  # type: ignore[arg-type]
+        randomisation = ParameterRanges(randomisation)  # type: ignore[arg-type]
     if randomisation is not None:
         task = task.changed({"events.randomisation": {"source": randomisation.source, "names": randomisation.names}})
-    kinds = {"batched": BatchedEnv, "composer": ComposerEnv}
-    if backend in kinds:
-        taken = ("self", "task", "model", "num_envs", "seed")
-        known = [name for name in signature(kinds[backend].__init__).parameters if name not in taken]
-        if unknown := [name for name in options if name not in known]:
-            raise ValueError(f"the {backend} environment has no option {unknown[0]!r}; it has {', '.join(known)}")
-    if backend == "batched":
-        return BatchedEnv(task, model, 64 if num_envs is None else num_envs, seed, **options)
+    if backend not in BACKENDS:
+        raise ValueError(f"unknown backend {backend!r}; the backends are {', '.join(BACKENDS)}")
+    kind: Any = BatchedEnv
     if backend == "composer":
-        if num_envs not in (None, 1) or "randomisation" in task.terms("events"):
-            raise ValueError(
-                f"the composer backend has one robot without randomisation, got {num_envs} with "
-                f"randomisation={randomisation}: use backend='batched'"
-            )
-        return ComposerEnv(task, model, seed, **options)
-    raise ValueError(f"unknown backend {backend!r}; the backends are {', '.join(BACKENDS)}")
+        from op3.envs.composed import ComposerEnv as kind  # brings composer, which a training need not load
+    taken = ("self", "task", "model", "num_envs", "seed")
+    known = [name for name in signature(kind.__init__).parameters if name not in taken]
+    if unknown := [name for name in options if name not in known]:
+        raise ValueError(f"the {backend} environment has no option {unknown[0]!r}; it has {', '.join(known)}")
+    if backend == "batched":
+        return kind(task, model, 64 if num_envs is None else num_envs, seed, **options)
+    if num_envs not in (None, 1) or "randomisation" in task.terms("events"):
+        raise ValueError(
+            f"the composer backend has one robot without randomisation, got {num_envs} with "
+            f"randomisation={randomisation}: use backend='batched'"
+        )
+    return kind(task, model, seed, **options)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from op3.envs.batched import BatchedEnv
 from op3.envs.record import record_episodes
-from op3.envs.step_traces import SKIPPED, TOUCHED, Traces, Watch, swings
+from op3.envs.step_traces import SKIPPED, TOUCHED, StepWatch, Traces, swings
 from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import SelfCollision
@@ -59,7 +59,7 @@ class GaitValidity:
 
 def judged_episodes(env: BatchedEnv, policy: Any, recording: str | None = None) -> tuple[list[Rollout], GaitValidity]:
     """One episode of each robot of an environment, as of `op3.envs.record_episodes`, and how valid the gait is."""
-    watch = Watch(env)
+    watch = StepWatch(env)
     with watch.watching():
         logs = record_episodes(env, policy, recording=recording)
     timestep = env.simulation.timestep

@@ -7,10 +7,10 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.envs.batched import BatchedEnv
 from op3.rollout import Metadata, Rollout
 from op3.sim import model_hash
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import TICKS
 
@@ -135,7 +135,7 @@ def _log(
     arrays: dict[Any, Tensor] = {
         key: torch.stack([row[key][robot] for row in tape.ticks[:rows]]) for key in tape.ticks[0]
     }
-    arrays["time"] = torch.arange(rows, dtype=torch.float64)[:, None] * OP3_CONTROL_PERIOD
+    arrays["time"] = torch.arange(rows, dtype=torch.float64)[:, None] * CONTROL_PERIOD
     arrays["done"] = torch.arange(rows)[:, None] == rows - 1
     drawn = {name: float(values[robot]) for name, values in env.parameters_drawn.items()}
     extra: Mapping[str, Any] = {"task": env.task.name, "success": bool(success)}
@@ -145,7 +145,7 @@ def _log(
         robot="simulated",
         robot_file=env.mdp.robot.reference,
         mount=env.scene.mount,
-        rate=1.0 / OP3_CONTROL_PERIOD,
+        rate=1.0 / CONTROL_PERIOD,
         policy_rate=1.0 / env.policy_period,
         battery=env.model.bus_voltage,
         motion=env.task.name,
@@ -154,7 +154,7 @@ def _log(
         seed=int(env.episode_seeds[robot]),
         # the furthest that the inner tip of a foot has got
         travelled_distance=None if travelled is None else float(travelled[: rows + 1, robot].max()),
-        episode_duration=rows * OP3_CONTROL_PERIOD,
+        episode_duration=rows * CONTROL_PERIOD,
         fallen=bool(fallen),
         extra=dict(extra),
     )

@@ -6,21 +6,20 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from op3.policy import ActionMap
-from op3.tasks.mdp import Outcome
-from op3.tasks.task import Task
+from op3.tasks.mdp import Mdp, Outcome
 from op3.tasks.whole_step import Throughout
 
 MEASURES = ("peak_force", "peak_acceleration", "peak_penetration", "self_contact")
 """What training logs of a step besides reward and success, see `op3.tasks.whole_step.Throughout`."""
 
 
-def set_specs(env: EnvBase, task: Task, action_map: ActionMap, observation_size: int, num_envs: int) -> None:
+def set_specs(env: EnvBase, mdp: Mdp) -> None:
     """Give an environment its specs.
 
     Observations, actions and rewards are float32; ``reward_terms`` holds the weighted contributions to the reward,
-    which is their sum.
+    which is their sum; ``privileged`` is what critics alone see, and there only where the task has such terms.
     """
+    num_envs = mdp.num_envs
     batch = torch.Size([num_envs])
 
     def numbers(width: int) -> Unbounded:
@@ -30,18 +29,20 @@ def set_specs(env: EnvBase, task: Task, action_map: ActionMap, observation_size:
         return Binary(n=1, shape=torch.Size([num_envs, 1]), dtype=torch.bool)
 
     env.observation_spec = Composite(
-        observation=numbers(observation_size),
-        reward_terms=Composite({name: numbers(1) for name in task.reward_terms}, shape=batch),
+        observation=numbers(mdp.observer.size),
+        reward_terms=Composite({name: numbers(1) for name in mdp.task.reward_terms}, shape=batch),
         measure=Composite({name: numbers(1) for name in (*MEASURES, "success")}, shape=batch),
         shape=batch,
     )
-    env.action_spec = Bounded(-1.0, 1.0, shape=torch.Size([num_envs, action_map.size]), dtype=torch.float32)
+    if mdp.privileged.shape[1]:
+        env.observation_spec["privileged"] = numbers(mdp.privileged.shape[1])
+    env.action_spec = Bounded(-1.0, 1.0, shape=torch.Size([num_envs, mdp.action_map.size]), dtype=torch.float32)
     env.reward_spec = numbers(1)
     env.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=batch)
 
 
 def answer(
-    task: Task, observation: Tensor, outcome: Outcome | None = None, throughout: Throughout | None = None
+    mdp: Mdp, observation: Tensor, outcome: Outcome | None = None, throughout: Throughout | None = None
 ) -> TensorDict:
     """What an environment says of all robots after a step; without an outcome, where episodes begin."""
     count = len(observation)
@@ -54,12 +55,14 @@ def answer(
     success = None if outcome is None else outcome.success
     content = {
         "observation": observation.float(),
-        "reward_terms": {name: column(None if outcome is None else outcome.terms[name]) for name in task.reward_terms},
+        "reward_terms": {name: column(outcome.terms[name] if outcome else None) for name in mdp.task.reward_terms},
         "measure": {name: column(getattr(throughout, name, None)) for name in MEASURES} | {"success": column(success)},
         "done": (terminated | truncated)[:, None],
         "terminated": terminated.clone()[:, None],
         "truncated": truncated.clone()[:, None],
     }
+    if mdp.privileged.shape[1]:
+        content["privileged"] = mdp.privileged.float()
     if outcome is not None:
         content["reward"] = column(outcome.reward)
     return TensorDict(content, [count])

@@ -51,7 +51,7 @@ class Traces:
     penetration: Array
 
 
-class Watch:
+class StepWatch:
     """Looks at an environment's robots after every step of the physics while `watching`."""
 
     def __init__(self, env: BatchedEnv):

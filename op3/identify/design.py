@@ -8,9 +8,9 @@ import torch
 
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.sensitivity import Array, Box
-from op3.robot import Motion
+from op3.motions import Motion
+from op3.replay import Replay, simulate_motion
 from op3.servo import RobotModel
-from op3.tasks import Replay, simulate_motion
 
 NOISE: Mapping[tuple[str, str], float] = {
     ("imu", "orientation"): 0.01,
@@ -42,7 +42,7 @@ WIDTH = 2 * 1.6449
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class PlannedRecording:
     """A motion of the library on a mount, its duration [s], and what it would tell.
 
     Attributes:
@@ -130,7 +130,7 @@ def check_choice(names: Sequence[str], wanted: Sequence[str], criterion: str) ->
 
 
 def choose(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[PlannedRecording],
     names: Sequence[str],
     wanted: Sequence[str],
     *,
@@ -168,7 +168,7 @@ def choose(
     steps: list[Step] = []
     used, mount, left = 0.0, None, [candidate for candidate in candidates for _ in range(repeats)]
     while True:
-        rated: list[tuple[float, float, Candidate]] = []
+        rated: list[tuple[float, float, PlannedRecording]] = []
         for candidate in left:
             cost = candidate.duration + overhead + (mount_change if mount not in (None, candidate.mount) else 0.0)
             if steps and used + cost > seconds:

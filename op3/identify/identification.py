@@ -9,6 +9,7 @@ import optuna
 import torch
 from torch import Tensor
 
+from op3.common.settings import Count, Whole, settings
 from op3.identify.identifiability import Identifiability, identifiability
 from op3.identify.intervals import followed_from_bounds, intervals_of
 from op3.identify.loss import TrajectoryLoss, position_error
@@ -16,15 +17,14 @@ from op3.identify.polish import Polished, polish
 from op3.identify.problem import Problem
 from op3.identify.refine import refine
 from op3.identify.sensitivity import Box, Residuals
-from op3.identify.study import Outcome
+from op3.identify.study import TrialOutcome
 from op3.identify.surrogate import MOST_POINTS, explore
+from op3.replay import Prediction, Replay
+from op3.replay.setups import BENCH_CONTROL_PERIOD
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
-from op3.settings import Count, Whole, settings
 from op3.sim.model_file import model_hash
-from op3.tasks import Prediction, Replay
-from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
 PREFIX = "parameters."
 """Search-space keys are config keys below this one."""
@@ -37,7 +37,7 @@ CHECKED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class FitScore:
     """How a model does on a set of logs.
 
     Attributes:
@@ -78,8 +78,8 @@ class Fit:
     label: str
     model: RobotModel
     found: Sequence[str]
-    fit: Score
-    heldout: Score | None
+    fit: FitScore
+    heldout: FitScore | None
     bounds: Mapping[str, tuple[float, float]]
     starts: Mapping[str, float]
     trials: Sequence[float]
@@ -218,7 +218,7 @@ class Identification:
             "loss": repr((self.loss, self._bench_timestep)),
         }
 
-    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
         """Losses of trials whose parameters are config keys, as the study asks them."""
         self._evaluated += len(population)
         return self.problem.evaluate([self._values(trial) for trial in population])
@@ -299,7 +299,7 @@ class Identification:
         history += polished.history[1:] if history or not how.polish else polished.history
         return polished, history
 
-    def score(self, values: Mapping[str, float]) -> tuple[Score, Score | None]:
+    def score(self, values: Mapping[str, float]) -> tuple[FitScore, FitScore | None]:
         """Score one parameter set on the fitted and on the held-out logs; None where nothing is held out."""
         fitted, unseen = self._predict({name: torch.tensor([value]) for name, value in values.items()})
         return self._score(fitted), self._score(unseen) if unseen else None
@@ -311,12 +311,12 @@ class Identification:
         self.problem.simulated_seconds += self.problem.replay.seconds
         return predictions[:count], predictions[count:]
 
-    def _score(self, predictions: Sequence[Prediction]) -> Score:
+    def _score(self, predictions: Sequence[Prediction]) -> FitScore:
         paper = TrajectoryLoss(self.joints)
         terms = [paper.terms(prediction) for prediction in predictions]
         keys = sorted({key for term in terms for key in term})
         errors = 1e3 * position_error(predictions, self.joints)[0]
-        return Score(
+        return FitScore(
             loss=float(self.loss(predictions)[0]),
             paper_eq7=float(paper(predictions)[0]),
             terms={"/".join(key): float(torch.stack([t[key][0] for t in terms if key in t]).mean()) for key in keys},

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.common.settings import Listed, NotNegative, Positive, settings
+from op3.replay import Prediction
 from op3.rollout import CHANNELS, LogError, Rollout
-from op3.settings import Listed, NotNegative, Positive, settings
-from op3.tasks import Prediction
 
 UNIT_WEIGHTS: Mapping[tuple[str, str], float] = {
     ("imu", "orientation"): 1.0,

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.common.sample_intervals import bootstrap_interval
 from op3.identify.loss import TrajectoryLoss
+from op3.replay import Prediction, Replay
+from op3.replay.setups import BENCH_CONTROL_PERIOD
 from op3.rollout import Rollout
-from op3.sample_intervals import bootstrap_interval
 from op3.servo import Estimate, RobotModel
-from op3.tasks import Prediction, Replay
-from op3.tasks.setups import BENCH_CONTROL_PERIOD
 
 FEWEST_LOGS = 5
 """Fewer logs than this are each cut into stretches, which are then drawn instead of logs."""

@@ -8,10 +8,10 @@ from torch import Tensor
 
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.sensitivity import Box, Residuals
-from op3.identify.study import Outcome
+from op3.identify.study import TrialOutcome
+from op3.replay import Prediction, Replay
 from op3.rollout import Rollout
 from op3.servo import RobotModel
-from op3.tasks import Prediction, Replay
 
 KEPT = 128
 """Evaluated parameter sets whose residuals are kept, the latest ones."""
@@ -22,7 +22,7 @@ class Problem:
 
     Args:
         model: effects that are on, and values of parameters that are not given.
-        replay: options of `op3.tasks.Replay`.
+        replay: options of `op3.replay.Replay`.
     """
 
     def __init__(self, model: RobotModel, logs: Sequence[Rollout], loss: TrajectoryLoss, **replay: Any):
@@ -47,7 +47,7 @@ class Problem:
         }
         return self.replay.run(self.model, given, candidates)
 
-    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
         """The loss of every parameter set, its unweighted terms by channel beside it; all have the same names."""
         predictions = self.predict(columns(population), len(population))
         losses = self.loss(predictions)
@@ -59,7 +59,7 @@ class Problem:
             means = {
                 "/".join(key): float(torch.stack([t[key][i] for t in terms if key in t]).mean()) for key in sorted(keys)
             }
-            outcomes.append(Outcome((loss,), means) if loss == loss else Outcome(None, error="diverged"))
+            outcomes.append(TrialOutcome((loss,), means) if loss == loss else TrialOutcome(None, error="diverged"))
         return outcomes
 
     def _keep(self, population: Sequence[Mapping[str, float]], residual: Tensor) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from hydra.core.config_store import ConfigStore
 
-from op3.settings import read_yaml
+from op3.common.settings import read_yaml
 
 TABLE_ONE: Mapping[str, Sequence[str]] = {
     "gear": ("backward_efficiency",),

@@ -9,8 +9,8 @@ from optuna.storages import BaseStorage, InMemoryStorage, JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.storages.journal._file import BaseJournalFileLock
 
+from op3.common.private import masked
 from op3.identify.search_space import StudyError
-from op3.private import masked
 
 JOURNAL_SUFFIXES = (".journal", ".log")
 

@@ -48,7 +48,7 @@ _SCRATCH = re.compile(r"tpe:relative_params")
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """What the evaluation of one trial gave.
 
     Attributes:
@@ -62,7 +62,7 @@ class Outcome:
     error: str | None = None
 
 
-Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | Outcome | None]]
+Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | TrialOutcome | None]]
 """Evaluates a population: parameters of each trial -> result of each trial, in the same order."""
 
 
@@ -142,7 +142,7 @@ def run_study(
     return study
 
 
-def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[Outcome]:
+def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[TrialOutcome]:
     """Evaluate a population such that a trial that raises fails alone, at about 2 log2(size) further evaluations."""
     try:
         results = evaluate([dict(parameters) for parameters in population])
@@ -156,7 +156,7 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
         frame = traceback.extract_tb(error.__traceback__)[-1]
         message = f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno} in {frame.name})"
         log.warning("The trial %s raised %s", population[0], message)
-        return [Outcome(None, error=message)]
+        return [TrialOutcome(None, error=message)]
     if len(results) != len(population):
         raise StudyError(
             f"evaluate returned {len(results)} results for a population of {len(population)}: "
@@ -165,12 +165,12 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
     return [as_outcome(result) for result in results]
 
 
-def as_outcome(result: Any) -> Outcome:
-    """Read one result of an evaluation: a number, several numbers, None, or an `Outcome`."""
-    if result is None or isinstance(result, Outcome):
-        return result or Outcome(None)
+def as_outcome(result: Any) -> TrialOutcome:
+    """Read one result of an evaluation: a number, several numbers, None, or an `TrialOutcome`."""
+    if result is None or isinstance(result, TrialOutcome):
+        return result or TrialOutcome(None)
     try:
-        return Outcome(tuple(float(value) for value in np.atleast_1d(result)))
+        return TrialOutcome(tuple(float(value) for value in np.atleast_1d(result)))
     except (TypeError, ValueError) as error:
         raise StudyError(
             f"evaluate returned {result!r} for a trial: return a number, a tuple of numbers, None or an Outcome."
@@ -226,7 +226,7 @@ class _Session:
                 sampler.get_trial_generation(self._mirror, frozen[trial.number])
         return trials
 
-    def tell(self, trials: Sequence[Trial], outcomes: Sequence[Outcome]) -> None:
+    def tell(self, trials: Sequence[Trial], outcomes: Sequence[TrialOutcome]) -> None:
         """Finish a population, in memory and in the storage, and take over what others have finished meanwhile."""
         for trial, outcome in zip(trials, outcomes, strict=True):
             values = self._judge(trial, outcome)
@@ -251,7 +251,7 @@ class _Session:
             self._mirror.add_trial(trial)
         return new
 
-    def _judge(self, trial: Trial, outcome: Outcome) -> list[float] | None:
+    def _judge(self, trial: Trial, outcome: TrialOutcome) -> list[float] | None:
         """Record what is to be known about a trial; return its values if it has succeeded."""
         for key, value in outcome.attributes.items():
             trial.set_user_attr(key, _plain(key, value))

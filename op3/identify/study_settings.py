@@ -10,13 +10,13 @@ from hydra.utils import to_absolute_path
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from op3.common.settings import Count, Listed, Whole, settings
 from op3.identify.samplers import make_sampler_factory
 from op3.identify.search_space import SearchSpace, StudyError, check_nominal, parse_search_space
 from op3.identify.storage import open_storage
 from op3.identify.study import Evaluate, run_study
 from op3.identify.sweeper_conf import PopulationSweeperConf
 from op3.servo.conditions import JOINT
-from op3.settings import Count, Listed, Whole, settings
 
 STORAGE_FILE = "study.journal"
 

@@ -39,7 +39,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
-from op3.identify.study import Evaluate, Outcome, as_outcome, evaluate_population
+from op3.identify.study import Evaluate, TrialOutcome, as_outcome, evaluate_population
 from op3.identify.study_settings import StudySettings, read_settings
 from op3.rollout.files import write_text
 
@@ -88,7 +88,7 @@ def sweep_or_report(
     with _one_sentence():
         settings = read_settings(cfg, hydra_config.sweeper, folder)
 
-        def evaluate_chunks(population: list[dict[str, Any]]) -> list[Outcome]:
+        def evaluate_chunks(population: list[dict[str, Any]]) -> list[TrialOutcome]:
             chunks = settings.split(population)
             return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
 
@@ -175,7 +175,7 @@ class PopulationSweep:
         overrides: list[str],
         folder: Path,
         settings: StudySettings,
-    ) -> list[Outcome]:
+    ) -> list[TrialOutcome]:
         """Evaluate what was asked: one job per population, all launched together."""
         chunks = settings.split(population)
         first, jobs = _write_jobs(chunks, overrides, folder)
@@ -184,7 +184,7 @@ class PopulationSweep:
         except Exception as error:
             # A job may die with its machine; its trials fail, the study goes on.
             log.exception("The launcher failed.")
-            return [Outcome(None, error=f"launcher: {type(error).__name__}: {error}") for _ in population]
+            return [TrialOutcome(None, error=f"launcher: {type(error).__name__}: {error}") for _ in population]
         return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
 
     def _begin(self, overrides: list[str], folder: Path, settings: StudySettings) -> dict[str, Any]:
@@ -264,12 +264,12 @@ def _quoted(text: str | Path) -> str:
     return QuotedString(str(text).replace("${", "\\${"), Quote.single).with_quotes()
 
 
-def _job_outcomes(chunk: list[dict[str, Any]], job: JobReturn) -> list[Outcome]:
+def _job_outcomes(chunk: list[dict[str, Any]], job: JobReturn) -> list[TrialOutcome]:
     if job.status != JobStatus.COMPLETED:
         error = job._return_value
         if isinstance(error, StudyError):
             raise error
-        return [Outcome(None, error=f"job: {type(error).__name__}: {error}") for _ in chunk]
+        return [TrialOutcome(None, error=f"job: {type(error).__name__}: {error}") for _ in chunk]
     results = job.return_value
     if not isinstance(results, Sequence) or len(results) != len(chunk):
         raise StudyError(

@@ -1,11 +1,16 @@
 """Policies as files: what a trained policy reads, what it commands, and its inference."""
 
-from op3.policy.actions import ActionMap
-from op3.policy.bundle import PolicyBundle
-from op3.policy.leg_kinematics import leg_kinematics
-from op3.policy.manifest import Manifest, Training
-from op3.policy.observation import Observer, layout_slices
-from op3.policy.observations import Sensed
+from typing import TYPE_CHECKING
+
+from op3.common.lazy import lazy
+
+if TYPE_CHECKING:
+    from op3.policy.actions import ActionMap
+    from op3.policy.bundle import PolicyBundle
+    from op3.policy.leg_kinematics import leg_kinematics
+    from op3.policy.manifest import Manifest, Training
+    from op3.policy.observation import Observer, layout_slices
+    from op3.policy.observations import Sensed
 
 __all__ = [
     "ActionMap",
@@ -17,3 +22,5 @@ __all__ = [
     "layout_slices",
     "leg_kinematics",
 ]
+
+__getattr__ = lazy(__name__)

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from op3.common.settings import GAIN_HIGH, GAIN_LOW, Listed, NotNegative, Number, Some, Text, nearest, settings
 from op3.robot import DEFAULT, Robot, load_robot
-from op3.settings import GAIN_HIGH, GAIN_LOW, Listed, NotNegative, Number, Some, Text, nearest, settings
 
 Array = TypeVar("Array", NDArray[Any], torch.Tensor)
 

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch.nn import functional
 
-from op3.assets import here_or_shipped
+from op3.common.assets import here_or_shipped
 from op3.policy.actions import Array
 from op3.policy.manifest import Manifest
 from op3.rollout.files import write_folder

@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 import yaml
 
-from op3.assets import here_or_shipped
+from op3.common.assets import here_or_shipped
+from op3.common.settings import Count, Named, NotNegative, Share, settings
 from op3.policy.bundle import PolicyBundle
 from op3.robot.self_collision import LARGEST_OVERLAP
 from op3.rollout.files import write_text
-from op3.settings import Count, Named, NotNegative, Share, settings
 
 CARD = "card.yaml"
 FORMAT = "op3-card/1"

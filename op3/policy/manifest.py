@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field
 
+from op3.common.settings import Count, Named, Positive, Some, Whole, parse_yaml, settings
 from op3.policy.actions import ActionMap
 from op3.robot import Robot, load_robot
-from op3.settings import Count, Named, Positive, Some, Whole, parse_yaml, settings
 
 FORMAT = "op3-policy/1"
 

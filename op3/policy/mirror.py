@@ -36,6 +36,7 @@ class Mirror:
         example: what one robot senses, ``[1, ...]``.
         action_map: what actions mean, and of which robot.
         commands: signs of the image of each command, by name.
+        privileged: signs of the image of each number that critics alone see.
 
     Raises:
         ValueError: if the robot has no plane of symmetry, a joint's partner is not controlled, or a command or a number
@@ -43,7 +44,12 @@ class Mirror:
     """
 
     def __init__(
-        self, observer: Observer, example: Sensed, action_map: ActionMap, commands: Mapping[str, Sequence[float] | None]
+        self,
+        observer: Observer,
+        example: Sensed,
+        action_map: ActionMap,
+        commands: Mapping[str, Sequence[float] | None],
+        privileged: Sequence[float] = (),
     ):
         robot, joints = load_robot(action_map.robot), action_map.joints
         images = robot.mirror
@@ -71,10 +77,15 @@ class Mirror:
         frame = torch.cat(index)
         self._observation = torch.cat([frame + first * k for k in range(observer.history + 1)])
         self._observation_sign = torch.cat(signs).repeat(observer.history + 1)
+        self._privileged_sign = torch.tensor(privileged)
 
     def observation(self, observation: Tensor) -> Tensor:
         """The image's observation ``[..., observation]``, history included."""
         return observation[..., self._observation] * self._observation_sign.to(observation)
+
+    def privileged(self, privileged: Tensor) -> Tensor:
+        """What critics alone see of the image, ``[..., number]``."""
+        return privileged * self._privileged_sign.to(privileged)
 
     def action(self, action: Tensor) -> Tensor:
         """The image's action ``[..., action]``."""

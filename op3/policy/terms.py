@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
 from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
 
-from op3.settings import nearest
+from op3.common.settings import imported, nearest
 
 FUNCTION = "function"
 """Field of a term's configuration that names its function or class; without it the term's own name does."""
@@ -60,6 +59,10 @@ class Term:
         if unknown := [argument for argument in given if argument not in arguments]:
             known = [*wanted, *self.options]
             raise ValueError(f"{where}.{unknown[0]}: unknown field{nearest(unknown[0], known)}")
+        numbers = [argument for argument in given if arguments[argument].annotation in (float, "float")]
+        for argument in (*numbers, *self.options):
+            if type(value := {**self.options, **given}[argument]) not in (int, float):
+                raise ValueError(f"{where}.{argument} must be a number, got {value!r}")
         offered = {argument: context[argument] for argument in arguments if argument in context}
         required = [a for a in wanted if arguments[a].default is inspect.Parameter.empty and a not in given]
         if required:
@@ -106,21 +109,14 @@ def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:
     """
     if not isinstance(name, str):
         raise ValueError(f"{where}.function must be the name of a function, got {name!r}")
-    module, _, attribute = name.rpartition(".")
-    if not module:
+    if "." not in name:
         known = {re.sub(r"(?<!^)(?=[A-Z])", "_", key).lower(): getattr(home, key) for key in home.__all__}
-        if attribute not in known:
+        if name not in known:
             raise ValueError(
                 f"{where}: there is no term {name!r}{nearest(name, known)}, or give function: package.name"
             )
-        return known[attribute]
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except ImportError as error:
-        raise ValueError(f"{where}.function: {name!r} cannot be imported ({error}); correct the path") from None
-    except AttributeError:
-        known = [key for key, value in vars(importlib.import_module(module)).items() if callable(value)]
-        raise ValueError(f"{where}.function: {module} has no {attribute!r}{nearest(attribute, known)}") from None
+        return known[name]
+    return imported(name, f"{where}.function")
 
 
 def _arguments(function: Any, inputs: int) -> dict[str, inspect.Parameter]:

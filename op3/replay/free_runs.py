@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from op3.replay import Prediction, Replay
+from op3.replay.planned import with_whole_limbs
 from op3.replay.smoothing import smooth as smoothed
 from op3.replay.smoothing import velocity_sensing
 from op3.rollout import Rollout
 from op3.servo import RobotModel
-from op3.tasks import Prediction, Replay
-from op3.tasks.planned import with_whole_limbs
 
 CHANNELS = {("joint", "position"): "rad", ("joint", "velocity"): "rad/s", ("joint", "current"): "A"}
 """Channels whose gap is shown, and their units."""

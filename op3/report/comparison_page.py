@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
 import yaml
 
+from op3.common.sample_intervals import mean_and_deviation
 from op3.report.page import Page
 from op3.report.result import read_result, write_result
 from op3.report.style import NAMES, bars_figure, curves_figure, words
@@ -32,7 +32,7 @@ _STORES = ("hydra.sweep", "hydra.sweeper.storage", "hydra.sweeper.study_name", "
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ComparedRun:
     """One finished run: the name of its folder, overrides by key, and the numbers of its `result.yaml`."""
 
     name: str
@@ -40,7 +40,7 @@ class Run:
     numbers: Mapping[str, Any]
 
 
-def read_runs(folder: str | Path) -> list[Run]:
+def read_runs(folder: str | Path) -> list[ComparedRun]:
     """All finished runs directly in a folder, by name.
 
     Raises:
@@ -50,7 +50,7 @@ def read_runs(folder: str | Path) -> list[Run]:
     if not cells:
         raise ValueError(f"{folder} holds no run with a result.yaml; name the folder of a multirun")
     cells.sort(key=lambda cell: (not cell.name.isdigit(), int(cell.name) if cell.name.isdigit() else 0, cell.name))
-    return [Run(cell.name, _settings(cell), read_result(cell / "result.yaml")) for cell in cells]
+    return [ComparedRun(cell.name, _settings(cell), read_result(cell / "result.yaml")) for cell in cells]
 
 
 def _settings(cell: Path) -> dict[str, str]:
@@ -61,14 +61,14 @@ def _settings(cell: Path) -> dict[str, str]:
     return {key: value for key, _, value in pairs if not key.startswith(_STORES)}
 
 
-def varied(runs: Sequence[Run]) -> list[str]:
+def varied(runs: Sequence[ComparedRun]) -> list[str]:
     """Keys in which the runs differ; the seed last."""
     keys = dict.fromkeys(key for run in runs for key in run.settings)
     differing = (key for key in keys if len({run.settings.get(key) for run in runs}) > 1)
     return sorted(differing, key=lambda key: key == "seed")
 
 
-def variants(runs: Sequence[Run]) -> dict[str, list[Run]]:
+def variants(runs: Sequence[ComparedRun]) -> dict[str, list[ComparedRun]]:
     """The runs by what they differ in but the seed."""
     keys, found = [key for key in varied(runs) if key != "seed"], {}
     for run in runs:
@@ -77,23 +77,14 @@ def variants(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return found
 
 
-def quantities(runs: Sequence[Run]) -> dict[str, str]:
+def quantities(runs: Sequence[ComparedRun]) -> dict[str, str]:
     """What is compared, with its column: what is known of these runs, else their first numbers."""
     has = dict.fromkeys(key for run in runs for key, value in run.numbers.items() if isinstance(value, int | float))
     known = {key: title for key, title in QUANTITIES.items() if key in has}
     return known if set(known) - {"wall_seconds"} else {key: words(key.replace(".", " ")) for key in list(has)[:MOST]}
 
 
-def spread(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Mean and standard deviation; None where no run has the number, no deviation of a single one."""
-    known = [float(value) for value in values if value is not None]
-    if not known:
-        return None
-    deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
-    return {"value": float(np.mean(known)), "deviation": deviation, "count": len(known)}
-
-
-def write_comparison(runs: Sequence[Run], folder: str | Path) -> tuple[Path, Path]:
+def write_comparison(runs: Sequence[ComparedRun], folder: str | Path) -> tuple[Path, Path]:
     """Write page and numbers of a comparison of at least one run into a folder; returns their paths.
 
     Runs that differ in nothing but the seed are one variant: means and standard deviations are taken over them.
@@ -110,13 +101,16 @@ def write_comparison(runs: Sequence[Run], folder: str | Path) -> tuple[Path, Pat
     return Page.of("comparison", figures, _tables(runs, columns, entries), **context).write(folder / PAGE), result
 
 
-def _entry(name: str, members: Sequence[Run], columns: Mapping[str, str]) -> dict[str, Any]:
+def _entry(name: str, members: Sequence[ComparedRun], columns: Mapping[str, str]) -> dict[str, Any]:
     parameters = dict.fromkeys(key for run in members for key in run.numbers if key.startswith(FOUND))
     return {
         "variant": name,
         "runs": [run.name for run in members],
-        **{key: spread([run.numbers.get(key) for run in members]) for key in columns},
-        **{key: spread([_value(run.numbers[key]) for run in members if key in run.numbers]) for key in parameters},
+        **{key: mean_and_deviation([run.numbers.get(key) for run in members]) for key in columns},
+        **{
+            key: mean_and_deviation([_value(run.numbers[key]) for run in members if key in run.numbers])
+            for key in parameters
+        },
     }
 
 
@@ -134,7 +128,7 @@ def _found(entries: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _tables(
-    runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
+    runs: Sequence[ComparedRun], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
 ) -> dict[str, TableRows]:
     keys = varied(runs)
     return {
@@ -156,14 +150,14 @@ def _tables(
     }  # fmt: skip
 
 
-def _remark(runs: Sequence[Run], parameter: str) -> str:
+def _remark(runs: Sequence[ComparedRun], parameter: str) -> str:
     """In how many runs the search ended at an end of a parameter's range."""
     ended = sum(parameter in (run.numbers.get("identifiability.at_bound") or ()) for run in runs)
     return f"at its bound in {ended} of {len(runs)} runs" if ended else ""
 
 
 def _runs_figure(
-    runs: Sequence[Run], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
+    runs: Sequence[ComparedRun], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
 ) -> go.Figure | None:
     """Every run by the first two numbers compared; None of a single number."""
     if len(columns) < 2:

@@ -14,7 +14,6 @@ from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import GRID, bars_figure, colours, dress, grid_figure, shade, words
 from op3.report.tables import TableRows, span
-from op3.sample_intervals import wilson_interval
 from op3.tasks.pushes import DIRECTIONS
 
 LANDING = ("force", "acceleration", "speed", "height")
@@ -98,7 +97,7 @@ def _tables(
 
 
 def _walk(passed: Any) -> tuple[str, str, float]:
-    low, high = wilson_interval(passed.successes, passed.episodes)
+    low, high = passed.interval
     return f"{passed.successes} of {passed.episodes}", f"{low:.2f} to {high:.2f}", round(passed.speed, 3)
 
 
@@ -175,7 +174,7 @@ def _walk_numbers(each: Measured) -> dict[str, Any]:
     return {
         ground: {
             "success": passed.successes / passed.episodes,
-            "success_interval": list(wilson_interval(passed.successes, passed.episodes)),
+            "success_interval": list(passed.interval),
             "episodes": passed.episodes,
             "speed": passed.speed,
         }

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from op3.identify.design import Candidate, Step
+from op3.identify.design import PlannedRecording, Step
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import curves_figure, words
@@ -11,7 +11,7 @@ from op3.report.style import curves_figure, words
 
 def report_design(
     steps: Sequence[Step],
-    candidates: Sequence[Candidate],
+    candidates: Sequence[PlannedRecording],
     wanted: Sequence[str],
     left_out: Mapping[str, str],
     run: RunFolder,

@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from op3.diagnose import LogSplit, Verdict
 from op3.diagnose.window_gaps import CHANNELS, STAGES, StageGap, WindowGaps
 from op3.identify.intervals import at_bound
+from op3.replay import Prediction
 from op3.report.page import Page
 from op3.report.panels import Panel, panels_figure
 from op3.report.result import RunFolder, publish
@@ -17,7 +18,6 @@ from op3.report.tables import TableRows, place_in_range, span
 from op3.report.trace_figures import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted
 from op3.servo import Parameter, RobotModel, effect_class
-from op3.tasks import Prediction
 
 SHOWN_STAGES = {"given model": "given", "baseline fit": "before", "returned model": "after"}
 """Names of the stages on a page, and in what a verdict shows."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from op3.identify.identifiability import SHARE
-from op3.identify.identification import Fit, Score
+from op3.identify.identification import Fit, FitScore
 from op3.report.figures import history_figure, ranges_figure
 from op3.report.identifiability_section import identifiability_figure, identifiability_numbers, verdicts, widths_table
 from op3.report.page import Page
@@ -64,7 +64,7 @@ def report_identification(
     return publish(page, values, run, curve=best)
 
 
-def _scores(fit: Fit) -> list[Score]:
+def _scores(fit: Fit) -> list[FitScore]:
     return [fit.fit] if fit.heldout is None else [fit.fit, fit.heldout]
 
 

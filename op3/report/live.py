@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from op3.replay import Replay
 from op3.report.style import words
 from op3.report.tracks import Tracks, predicted, scene_of
 from op3.rollout import LogError, Metadata, Rollout
@@ -16,7 +17,6 @@ from op3.rollout.files import GrowingRows
 from op3.rollout.rollout import DATA_FOLDER, METADATA_FILE, ROWS_FILE
 from op3.servo import RobotModel
 from op3.sim import model_for
-from op3.tasks import Replay
 
 STRETCH, REACH = 1.0, 10.0
 """How much is shown at once, and how long before its end the ghost has begun, at rest and where the robot was [s].

@@ -12,7 +12,7 @@ import plotly
 import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
-from op3.private import scrub
+from op3.common.private import scrub
 from op3.report.style import DARK, words
 from op3.report.tables import Cell, TableRows, ends, number, span
 from op3.rollout.files import write_text

@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from op3.private import CLAIMED, scrub
+from op3.common.private import CLAIMED, scrub
 from op3.rollout.code_version import git_changes, git_hash
 
 PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "hydra-core", "optuna", "numpy", "scipy")

@@ -8,14 +8,14 @@ import optuna
 import plotly.graph_objects as go
 
 from op3.identify.intervals import at_bound
-from op3.identify.reidentification import TOLERATED
-from op3.identify.reidentified import Candidate, Reidentified
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
 from op3.report.style import INK, MUTED, PALETTE, curves_figure, dress, faded, words
 from op3.report.tables import TableRows, place_in_range
 from op3.servo import RobotModel, parameter
+from op3.transfer.reidentification import TOLERATED
+from op3.transfer.reidentified import ParetoPoint, Reidentified
 
 FOUND = "re-identified"
 ACTUAL = "actual"
@@ -58,7 +58,7 @@ def report_reidentification(
     return publish(page, values, run)
 
 
-def _objectives(name: str, one: Candidate, fresh: Candidate) -> dict[str, Any]:
+def _objectives(name: str, one: ParetoPoint, fresh: ParetoPoint) -> dict[str, Any]:
     """Both objectives, returns and parameters of a model."""
     return {
         f"distance.{name}": one.distance,
@@ -74,7 +74,7 @@ def _ratio(after: float, before: float) -> float | None:
     return after / before if before > 0 and np.isfinite([before, after]).all() else None
 
 
-def _places(one: Candidate) -> dict[str, float]:
+def _places(one: ParetoPoint) -> dict[str, float]:
     """Where each parameter lies in its range of the catalogue."""
     return {name: place_in_range(parameter(name), value) for name, value in one.values.items()}
 
@@ -118,7 +118,7 @@ def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
         x, y = np.array(played).T
         figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(MUTED, 0.35), size=5))
     diamond = dict(mode="markers", marker_size=13, marker_symbol="diamond")
-    marks: list[tuple[str, Sequence[Candidate], dict[str, Any]]] = [
+    marks: list[tuple[str, Sequence[ParetoPoint], dict[str, Any]]] = [
         ("Pareto front", [one for one in found.front if one.returns], dict(mode="lines+markers", line_shape="hv")),
         (found.start_name, [found.start], diamond),
         (FOUND, [found.chosen], diamond),

@@ -8,8 +8,8 @@ from PIL import Image
 
 from op3.report.frames import draw_frames
 from op3.robot.robot import Robot
-from op3.robot.scenes import build_scene
 from op3.rollout.files import write_file
+from op3.scenes.scene import build_scene
 
 
 def robot_table(robot: Robot) -> str:

@@ -9,8 +9,8 @@ from typing import Any, Self
 
 import plotly.graph_objects as go
 
-from op3.private import scrub
-from op3.wandb_settings import WandbSettings
+from op3.common.private import scrub
+from op3.common.wandb_settings import WandbSettings
 
 
 def sweep_group(folder: str | Path) -> str:

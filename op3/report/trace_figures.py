@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.replay import Prediction
 from op3.report.figures import errors_figure
 from op3.report.panels import Panel, panels_figure
 from op3.report.style import COMMAND, MEASURED, words
@@ -13,7 +14,6 @@ from op3.report.tables import TableRows
 from op3.rollout import CHANNELS, Rollout
 from op3.rollout.health import told_together
 from op3.rollout.schema import Key, key_name, normal_key
-from op3.tasks import Prediction
 
 Channels = Prediction | Mapping[Any, Any]
 """A prediction of one candidate, or arrays ``[time, joint | 3]`` by channel, such as ``("joint", "position")``."""

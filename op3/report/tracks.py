@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from op3.replay import Prediction
 from op3.report.video import states_of_log
-from op3.robot import Scene, build_bench, build_scene
 from op3.rollout import Rollout, read_log, stand_tilt
-from op3.tasks import Prediction
+from op3.scenes import Scene, build_bench, build_scene
 
 SHOWN = "shown"
 """Folder of a diagnosis with the run that it shows: measured, before and after."""

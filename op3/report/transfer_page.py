@@ -1,147 +1,19 @@
 """The story of a transfer from simulation to a robot, on one page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from scipy.special import stdtrit
 
+from op3.replay import Prediction
 from op3.report.page import Page
-from op3.report.result import RunFolder, finite, publish
+from op3.report.result import RunFolder, publish
 from op3.report.style import Curves, bars_figure, boxes_figure, curves_figure
 from op3.report.tables import TableRows
 from op3.report.trace_figures import traces_figure
-from op3.sample_intervals import wilson_interval
-from op3.tasks import Prediction
-
-WALKERS = 0.8
-"""Share of episodes that must walk for their whole time; paper, 8 of 10."""
-
-PAPERS_EPISODES = 10
-"""Episodes by which the paper judges a transfer."""
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """One policy, in the simulation that it was trained on and on the robot.
-
-    Attributes:
-        policy: the bundle.
-        model: that it was trained on.
-        expected, actual: returns under R_eval in simulation and on the robot.
-        upright: which of the robot's episodes went without a fall, the way to the end pose included.
-        episodes: folder of the robot's logs.
-        film, robot_film: of an episode in simulation and on the robot; None or no such file: not shown.
-        criterion: share of the expected mean return that the robot must reach.
-        began_with: what its training began with, or that it was given.
-        afterwards: episodes that ended well and fell, or had to be stopped, on the way to the end pose.
-        walked: which of the robot's episodes went forwards without a fall, by which the paper judges walking; None for
-            other tasks.
-    """
-
-    policy: Path
-    model: str
-    expected: Sequence[float]
-    actual: Sequence[float]
-    upright: Sequence[bool]
-    episodes: Path
-    film: Path | None = None
-    robot_film: Path | None = None
-    criterion: float = 0.8
-    walked: Sequence[bool] | None = None
-    began_with: str = "nothing"
-    afterwards: int = 0
-
-    @property
-    def falls(self) -> int:
-        """Episodes that did not end upright."""
-        return len(self.upright) - sum(self.upright)
-
-    @property
-    def achieved(self) -> str:
-        """What the criterion looks at, with its 95 % interval, and how many episodes fell."""
-        span = f" ({self.span})" if self.span else ""
-        if self.walked is not None:
-            said = f"{sum(self.walked)} of {len(self.walked)} episodes walk to their end{span}"
-        else:
-            said = f"the robot reaches {100 * self.share:.0f} %{span} of the return that simulation promised"
-        way = f", {self.afterwards} of them on the way to the end pose" if self.afterwards else ""
-        return said + (f", and falls in {self.falls} of {len(self.upright)} episodes{way}" if self.falls else "")
-
-    @property
-    def share(self) -> float:
-        """Mean return on the robot as a share of that in simulation."""
-        return float(np.mean(self.actual) / np.mean(self.expected))
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of what is judged: Wilson's of the episodes that walked; of the share Student's, by the
-        spread of both means (the delta method); no interval of a single episode."""
-        if self.walked is not None:
-            return wilson_interval(sum(self.walked), len(self.walked))
-        fewest = min(len(self.expected), len(self.actual))
-        if fewest < 2:
-            return -np.inf, np.inf
-        parts = [np.var(one, ddof=1) / len(one) / np.mean(one) ** 2 for one in (self.expected, self.actual)]
-        half = float(stdtrit(fewest - 1, 0.975) * abs(self.share) * np.sqrt(sum(parts)))
-        return self.share - half, self.share + half
-
-    @property
-    def span(self) -> str:
-        """The interval in words; nothing where there is none."""
-        low, high = self.interval
-        return f"95 %: {100 * low:.0f} to {100 * high:.0f} %" if np.isfinite([low, high]).all() else ""
-
-    @property
-    def success(self) -> bool:
-        """Whether the transfer meets the paper's criterion."""
-        if self.walked is not None:
-            return float(np.mean(self.walked)) >= WALKERS
-        return self.share >= self.criterion
-
-    @property
-    def settled(self) -> bool:
-        """Whether the interval lies on one side of the criterion: more episodes would hardly turn the verdict."""
-        low, high = self.interval
-        limit = self.criterion if self.walked is None else WALKERS
-        return low >= limit or high < limit
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """For ``result.yaml``."""
-        walked = {} if self.walked is None else {"walked": float(np.mean(self.walked))}
-        return {
-            "expected": float(np.mean(self.expected)),
-            "actual": float(np.mean(self.actual)),
-            "share": self.share,
-            "interval": [finite(end) for end in self.interval],
-            "fell_afterwards": self.afterwards,
-            "episodes": len(self.actual),
-            "upright": float(np.mean(self.upright)),
-            "success": self.success,
-            "training_began_with": self.began_with,
-            **walked,
-        }
-
-
-@dataclass
-class Learned:
-    """What the rounds have found.
-
-    Attributes:
-        numbers: of the re-identification, by round, as its ``result.yaml`` has them.
-        named: sentence of the diagnosis, by round.
-        remarks: what else the reader should know, a sentence each.
-        spared: whether the condition would learn, and the first transfer left nothing to learn from.
-    """
-
-    numbers: dict[int, dict] = field(default_factory=dict)
-    named: dict[int, str] = field(default_factory=dict)
-    remarks: list[str] = field(default_factory=list)
-    spared: bool = False
+from op3.transfer.attempt import PAPERS_EPISODES, WALKERS, Learned, Transfer
 
 
 def report_transfers(

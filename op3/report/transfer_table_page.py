@@ -1,6 +1,6 @@
 """How often policies transfer, by what they were trained on: the paper's tables III and IV with intervals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,7 @@ from op3.report.page import Page
 from op3.report.provenance import run_provenance
 from op3.report.result import read_result, write_result
 from op3.report.style import NAMES, boxes_figure, words
-from op3.sample_intervals import wilson_interval
+from op3.transfer.success_table import Transferred, last_transfer, transfer_rates
 
 FAILED = "failed.txt"
 """File in the folder of a cell that could not be run: why."""
@@ -16,8 +16,6 @@ FAILED = "failed.txt"
 PAGE, NUMBERS = "transfers.html", "transfers.yaml"
 
 PAPER = NAMES["paper"]
-Transferred = Mapping[str, Any]
-"""Numbers of a run of sim2real.py, by dotted key."""
 
 
 def read_cells(folder: str | Path) -> list[Transferred]:
@@ -33,19 +31,20 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
         here = [cell for cell in cells if cell["task"] == task]
         found = {condition: [one for one in here if one["condition"] == condition] for condition in _conditions(here)}
         worlds = sorted({cell["world"] for cell in here})
-        values[task] = {name: _numbers(of) for name, of in found.items()}
+        values[task] = {name: transfer_rates(of) for name, of in found.items()}
         tables[task] = (
             ["trained on", "paper", *worlds, "all robots", "95 % interval", "episodes to their end", "share [%]"],
             [[words(name), PAPER.get(task, {}).get(name, ""), *_row(of, worlds)] for name, of in found.items()],
         )
         shares = {
-            w: {words(n): [_last(c, "share") for c in of if c["world"] == w] for n, of in found.items()} for w in worlds
+            w: {words(n): [last_transfer(c, "share") for c in of if c["world"] == w] for n, of in found.items()}
+            for w in worlds
         }
         figures[task] = boxes_figure(shares, "return, robot over simulation [-]")
     columns = {"task": "task", "world": "robot", "condition": "trained on", "provenance.seed": "seed"}
     columns |= {"rounds": "learned from failures", "success": "success"}
     last = {"expected": "promised", "actual": "on the robot", "upright": "upright"}
-    rows = [[*(cell[name] for name in columns), *(_last(cell, k) for k in last)] for cell in cells]
+    rows = [[*(cell[name] for name in columns), *(last_transfer(cell, k) for k in last)] for cell in cells]
     tables["cells"] = ([*columns.values(), *last.values()], rows)
     failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}
     tables["failed"] = (["cell", "why it could not be run"], list(failed.items()))
@@ -61,37 +60,13 @@ def _conditions(cells: Sequence[Transferred]) -> list[str]:
     return [*(name for name in PAPER["balance"] if name in there), *(n for n in there if n not in PAPER["balance"])]
 
 
-def _last(cell: Transferred, name: str) -> Any:
-    return cell[f"transfer_{cell['rounds']}.{name}"]
-
-
 def _counts(cells: Sequence[Transferred]) -> str:
     good = [cell for cell in cells if cell["success"]]
     return f"{len(good)}/{len(cells)} ({sum(not cell['rounds'] for cell in good)})" if cells else "–"
 
 
-def _episodes(cells: Sequence[Transferred]) -> tuple[int, int]:
-    """Episodes on the robot that went to their end, and all."""
-    name = "walked" if cells[0]["task"] == "walk" else "upright"
-    played = [_last(cell, "episodes") for cell in cells]
-    return sum(round(n * _last(cell, name)) for n, cell in zip(played, cells, strict=True)), sum(played)
-
-
-def _numbers(cells: Sequence[Transferred]) -> dict[str, Any]:
-    good, (ended, episodes) = sum(bool(cell["success"]) for cell in cells), _episodes(cells)
-    return {
-        "transfers": len(cells),
-        "successes": good,
-        "at_once": sum(bool(cell["success"]) and not cell["rounds"] for cell in cells),
-        "interval": list(wilson_interval(good, len(cells))),
-        "episodes": episodes,
-        "episodes_to_their_end": ended,
-        "share": sum(_last(cell, "share") for cell in cells) / len(cells),
-    }
-
-
 def _row(cells: Sequence[Transferred], worlds: Sequence[str]) -> list[Any]:
-    numbers = _numbers(cells)
+    numbers = transfer_rates(cells)
     low, high = numbers["interval"]
     return [
         *(_counts([cell for cell in cells if cell["world"] == world]) for world in worlds),

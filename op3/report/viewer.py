@@ -140,7 +140,7 @@ def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> It
 
 
 @dataclass
-class Player:
+class Playback:
     """Where a window is in what is played [s], how fast times real time, and what its keys do."""
 
     duration: float
@@ -184,12 +184,12 @@ def window(stretches: Iterable[Tracks | None], joint: str | None = None, speed: 
     if tracks is None:
         raise ValueError("there is nothing to show: no log began in this folder")
     model = tracks.scene.compile()
-    data, ghost, player = mujoco.MjData(model), mujoco.MjData(model), Player(tracks.duration, speed=speed)
+    data, ghost, player = mujoco.MjData(model), mujoco.MjData(model), Playback(tracks.duration, speed=speed)
     states, strip = tracks.states(RATE), Strip(tracks, joint)
     data.qpos[:] = states[0, 0]
     mujoco.mj_forward(model, data)
     options: dict[str, Any] = {"key_callback": player.key, "show_left_ui": False, "show_right_ui": False}
-    print(Player.KEYS, flush=True)
+    print(Playback.KEYS, flush=True)
     with mujoco.viewer.launch_passive(model, data, **options) as handle:
         seen = camera_of(model, data)
         handle.cam.lookat[:], handle.cam.distance = seen.lookat, seen.distance

@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from op3.settings import first_fault, nearest, parse_yaml
+from op3.common.settings import first_fault, nearest, parse_yaml
 
 Content = TypeVar("Content", bound="Record")
 

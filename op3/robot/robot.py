@@ -16,12 +16,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.assets import robot_file, robot_files
+from op3.common.assets import robot_file, robot_files
+from op3.common.settings import nearest
 from op3.robot.data_file import DataFile, DataFileError
 from op3.robot.model_source import ModelSource, read_model
 from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names, servo_path
 from op3.robot.servo_make import ServoMake, load_servo, supply_shares
-from op3.settings import nearest
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 from pydantic import Field, model_validator
 
-from op3.assets import named_configs
+from op3.common.assets import named_configs
 from op3.robot.data_file import DataFile, Real, Record, among
 from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
 

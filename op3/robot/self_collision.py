@@ -20,13 +20,9 @@ LARGEST_OVERLAP = 0.002
 current reach in simulation, 0.6 mm, so that deeper is no contact but a pose that a robot cannot take."""
 
 LARGEST_OVERLAP_AHEAD = 0.01
-"""The same of poses that are still to come at the measured speeds [m]. The shipped walk, whose feet pass each other
-within 2 mm, gets to 5.3 mm on two layers of bricks. One whose legs are sent through each other gets to 11 mm."""
-
-LARGEST_OVERLAP_COMMANDED = 0.02
-"""The same of poses that are commanded [m]: legs of 0.25 m press on each other with 4 N at the highest gain. The
-shipped walk gets to 6.6 mm, a walk whose legs are sent through each other to 50 mm; the stiff policy of the demo is
-stopped here."""
+"""The same of poses that are still to come, by the measured speeds or by the commands [m]. The shipped walk, whose
+feet pass each other within 2 mm, gets to 5.3 and 6.6 mm on two layers of bricks. One whose legs are sent through each
+other gets to 11 and 50 mm."""
 
 HORIZON = 0.016
 """How far ahead of a measured pose a collision counts as coming [s]: within two ticks of 8 ms a new command acts."""
@@ -98,7 +94,7 @@ class SelfCollision:
         return self._deeper(position, overlap) or self._deeper(coming, ahead)
 
     def commanded(
-        self, position: ArrayLike, target: ArrayLike, stiffness: ArrayLike, ahead: float = LARGEST_OVERLAP_COMMANDED
+        self, position: ArrayLike, target: ArrayLike, stiffness: ArrayLike, ahead: float = LARGEST_OVERLAP_AHEAD
     ) -> Gap | None:
         """Parts that are deeper in each other than `ahead` [m] where the joints are driven to; else None.
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from op3.assets import asset_path
+from op3.common.assets import asset_path
+from op3.common.settings import nearest
 from op3.robot.data_file import DataFile, DataFileError, Real, Record, among
-from op3.settings import nearest
 
 TO_SI: Mapping[str, tuple[str, Callable[[float], float]]] = {
     "rpm": ("rad/s", lambda value: value * 2 * pi / 60),
@@ -81,7 +81,7 @@ def _in(unit: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-class Motor(Record):
+class MotorData(Record):
     """The motor and its gear.
 
     Attributes:
@@ -119,7 +119,7 @@ class Counts(Record):
     duty: Annotated[Figure, _in("counts")] | None = None
 
 
-class Limits(Record):
+class ServoRatings(Record):
     """What the servo stands.
 
     Attributes:
@@ -187,9 +187,9 @@ class ServoMake(Record):
     sources: Mapping[str, str]
     loop: Loop
     supply: Annotated[Figure, _in("V")]
-    motor: Motor
+    motor: MotorData
     counts: Counts
-    limits: Limits
+    limits: ServoRatings
     position_law: PositionLaw | None = None
     model_number: int | None = None
     bus: Literal["dynamixel-x"] | None = None

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from op3.common.settings import Listed, Named, Number, read_yaml, settings, shown
 from op3.rollout.errors import LogError, located, rename
 from op3.rollout.guess import guess, guess_all
-from op3.rollout.health.finding import WARNING, Finding
+from op3.rollout.health.finding import WARNING, LogFinding
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
 from op3.rollout.readers.text import unpacked
@@ -25,7 +26,6 @@ from op3.rollout.rollout import Rollout
 from op3.rollout.schema import CHANNELS, column_names, key_name, place
 from op3.rollout.units import factor, likely_unit
 from op3.rollout.validate import check_time, holes
-from op3.settings import Listed, Named, Number, read_yaml, settings, shown
 
 SHARED = "columns.yaml"
 
@@ -153,12 +153,12 @@ def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
     return guess_all(names, list(map(str, joints)))
 
 
-def _told(guessed: Mapping[str, Column]) -> list[Finding]:
+def _told(guessed: Mapping[str, Column]) -> list[LogFinding]:
     """A warning that names alone say what columns are."""
     read = [f"{name} as {column.name}" for name, column in guessed.items() if column.name]
     problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: names of columns were guessed"
     remedy = "write them under `columns:` in the YAML"
-    return [Finding(WARNING, problem, remedy, "columns", check="names")] if read else []
+    return [LogFinding(WARNING, problem, remedy, "columns", check="names")] if read else []
 
 
 def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
@@ -368,17 +368,17 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
     return arrays
 
 
-def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[Finding]:
+def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[LogFinding]:
     """A warning where every clock runs in a part of the time only."""
     by_span = sorted(streams, key=lambda stream: float(np.ptp(stream.time)))
     shortest, (used, all_of_it) = by_span[0], (float(np.ptp(t)) for t in (time, by_span[-1].time))
     problem = f"every clock runs in {used:.4g} of {all_of_it:.4g} s, which are used: "
     problem += f"{next(iter(shortest.columns), 'one')} is told from {shortest.time[0]:.4g} to {shortest.time[-1]:.4g} s"
     remedy = "record all of them throughout"
-    return [Finding(WARNING, problem, remedy, "time", check="shared time")] if used < 0.9 * all_of_it else []
+    return [LogFinding(WARNING, problem, remedy, "time", check="shared time")] if used < 0.9 * all_of_it else []
 
 
-def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[Finding]:
+def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[LogFinding]:
     """Columns that are not to be used, as cells hold no number; changes these cells to zero.
 
     Positions, commands and times with such cells are left, to be refused.
@@ -394,5 +394,5 @@ def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[Findin
             rows = empty.any(1) if key[0] == "imu" else empty[:, index]
             problem = f"{rows.sum()} of {len(values)} rows hold no number"
             remedy = "the channel is not used; leave these rows out, or fill them"
-            findings.append(Finding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
+            findings.append(LogFinding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
     return findings

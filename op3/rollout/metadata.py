@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import yaml
 from pydantic import BeforeValidator, Field
 
+from op3.common.settings import Number, Positive, read_yaml, settings, shown
 from op3.rollout.errors import LogError, located, rename
 from op3.rollout.schema import RESERVED
-from op3.settings import Number, Positive, read_yaml, settings, shown
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
 HOLDING = ("stand", "pendulum")

@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, TypeVar, dataclass_transform, get_args, ge
 
 from torch import Tensor
 
-from op3.settings import nearest
+from op3.common.settings import nearest
 
 
 class Stage(IntEnum):
@@ -198,7 +198,7 @@ class Trunk:
 
 
 @dataclass(frozen=True)
-class Clock:
+class Periods:
     """The two rhythms of the law.
 
     Attributes:
@@ -327,7 +327,7 @@ class Effect:
         del sides
         return values
 
-    def depth(self, clock: Clock) -> int:
+    def depth(self, clock: Periods) -> int:
         """How many numbers beside its memory it remembers of each joint."""
         del clock
         return 0

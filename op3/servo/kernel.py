@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from op3.servo.effect import SIGNALS, Clock, Effect, Stage, catalogue, type_hints
+from op3.servo.effect import SIGNALS, Effect, Periods, Stage, catalogue, type_hints
 from op3.servo.machine_code import part
 
 BITS = 62
@@ -79,7 +79,7 @@ class Kernel:
             words[number // BITS] |= (kind.name in acting) << number % BITS
         return tuple(words)
 
-    def rows(self, effects: Sequence[Effect], clock: Clock, num_sims: int, num_joints: int) -> np.ndarray:
+    def rows(self, effects: Sequence[Effect], clock: Periods, num_sims: int, num_joints: int) -> np.ndarray:
         """Parameters ``[sim, joint]``, with the options of effects that are on and all else neutral."""
         made = np.repeat(np.repeat(self.neutral, num_sims, 0), num_joints, 1)
         made["timestep"], made["period"] = clock.timestep, clock.period

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from op3.servo import kernel, rows
-from op3.servo.effect import SIGNALS, Clock, Effect, Trunk, in_stage_order
+from op3.servo.effect import SIGNALS, Effect, Periods, Trunk, in_stage_order
 
 
 class Signals:
@@ -62,7 +62,7 @@ class Servos:
 
     def __init__(self, effects: Sequence[Effect], joints: Sequence[str], num_sims: int, timestep: float, period: float):
         self.effects = in_stage_order(effects)
-        self.clock = Clock(timestep, period)
+        self.clock = Periods(timestep, period)
         self.kernel = kernel.current()
         self.on = self.kernel.switches(self.effects)
         self._shape = (num_sims, len(joints))

@@ -1,15 +1,20 @@
 """Robots stepped at 1 ms with the servo law between steps, many at once or one inside a composer task."""
 
-from op3.assets import find_model, model_names
-from op3.sim.batch_simulation import BatchSimulation
-from op3.sim.geared_servo import GearedServo
-from op3.sim.model_file import load_model, model_hash, save_model
-from op3.sim.pendulum_simulation import PendulumSimulation
-from op3.sim.ports import ServoPorts, attach_servos
-from op3.sim.servo_models import model_for, servo_model
-from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
-from op3.sim.trunk_sensors import roll_pitch_yaw
-from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
+from typing import TYPE_CHECKING
+
+from op3.common.lazy import lazy
+
+if TYPE_CHECKING:
+    from op3.common.assets import find_model, model_names
+    from op3.sim.batch_simulation import BatchSimulation
+    from op3.sim.geared_servo import GearedServo
+    from op3.sim.model_file import load_model, model_hash, save_model
+    from op3.sim.pendulum_simulation import PendulumSimulation
+    from op3.sim.ports import ServoPorts, attach_servos
+    from op3.sim.servo_models import model_for, servo_model
+    from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
+    from op3.sim.trunk_sensors import roll_pitch_yaw
+    from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
 
 __all__ = [
     "BatchSimulation",
@@ -31,3 +36,5 @@ __all__ = [
     "servo_model",
     "trajectory_dynamics",
 ]
+
+__getattr__ = lazy(__name__)

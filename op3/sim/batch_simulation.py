@@ -15,7 +15,7 @@ from op3.sim.edits import edited_fields
 from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.ports import ServoPorts
-from op3.sim.trunk_sensors import Base, readings, undo_sensing
+from op3.sim.trunk_sensors import BaseBody, readings, undo_sensing
 
 
 class BatchSimulation:
@@ -63,7 +63,7 @@ class BatchSimulation:
         self.joint_names = tuple(joint_names or (name.rsplit("/", 1)[-1] for name in joints))
         self.ports = ServoPorts.find(mj_model, joints)
         self.batch = Batch(mj_model, num_sims, num_threads)
-        self._base = None if base_body is None else Base.find(mj_model, mj_model.body(base_body).id)
+        self._base = None if base_body is None else BaseBody.find(mj_model, mj_model.body(base_body).id)
         self.law = Servos(model.effects, self.joint_names, num_sims, self.timestep, control_period)
         self.signals, self._forces = self.law.signals, self.law.reads("radial_force")
         fresh_start(self.signals, model)

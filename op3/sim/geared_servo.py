@@ -15,7 +15,7 @@ from op3.sim.edits import edited_fields, model_field
 from op3.sim.exchange import hand_over, read
 from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.ports import ServoPorts, attach_servos
-from op3.sim.trunk_sensors import Base, readings
+from op3.sim.trunk_sensors import BaseBody, readings
 
 
 class GearedServo(composer.Entity):
@@ -49,7 +49,7 @@ class GearedServo(composer.Entity):
         self.model = model
         self.joint_names = tuple(joint.name for joint in joints)
         self._commands: dict[str, Any] = {}
-        self._base: Base | None = None
+        self._base: BaseBody | None = None
         self._rotor: np.ndarray = np.zeros((1, len(joints)))
         self._failed = np.zeros(1, bool)
 
@@ -77,7 +77,7 @@ class GearedServo(composer.Entity):
         model = physics.model.ptr
         self.ports = ServoPorts.find(model, names)
         base = -1 if self._base_element is None else int(physics.bind(self._base_element).element_id)
-        self._base = None if base < 0 else Base.find(model, base)
+        self._base = None if base < 0 else BaseBody.find(model, base)
         values = expand_parameters(self.model, self.joint_names, {}, 1)
         timestep = float(model.opt.timestep)
         self._every, period = round(self._control_period / timestep), self._control_period

@@ -9,8 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from op3.robot import DEFAULT, build_scene, load_robot
+from op3.robot import DEFAULT, load_robot
 from op3.robot.register_units import GRAVITY
+from op3.scenes import build_scene
 from op3.servo import RobotModel
 from op3.sim.edits import LINK, ROTOR, edited_fields, model_field
 from op3.sim.ports import ServoPorts, attach_servos

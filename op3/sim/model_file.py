@@ -8,11 +8,11 @@ from typing import Any
 
 import yaml
 
-from op3.assets import find_model
+from op3.common.assets import find_model
+from op3.common.settings import read_yaml
 from op3.rollout.files import write_text
 from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
-from op3.settings import read_yaml
 
 FORMAT = "op3-model/1"
 

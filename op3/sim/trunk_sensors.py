@@ -11,7 +11,7 @@ from op3.servo import Servos, Trunk
 
 
 @dataclass(frozen=True)
-class Base:
+class BaseBody:
     """The robot's base body in a compiled model.
 
     Attributes:
@@ -25,7 +25,7 @@ class Base:
     dof: int | None
 
     @classmethod
-    def find(cls, model: mujoco.MjModel, body: int) -> "Base":
+    def find(cls, model: mujoco.MjModel, body: int) -> "BaseBody":
         """Look the base up; its free joint may belong to a frame that it is welded to."""
         root = model.body_rootid[body]
         if model.body_dofnum[root] != 6:

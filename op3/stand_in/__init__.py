@@ -4,7 +4,7 @@ from op3.stand_in.cases import Case, draw_case, make_case, open_answers, record_
 from op3.stand_in.hidden import CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
 from op3.stand_in.sensors import Sensors
 from op3.stand_in.stand_in_robot import StandIn
-from op3.stand_in.world import BENCH_RANGES, RANDOM_RANGES, World, world_names
+from op3.stand_in.world import BENCH_RANGES, RANDOM_RANGES, HiddenWorld, world_names
 
 __all__ = [
     "BENCH_RANGES",
@@ -15,9 +15,9 @@ __all__ = [
     "SEVERITIES",
     "Case",
     "Hidden",
+    "HiddenWorld",
     "Sensors",
     "StandIn",
-    "World",
     "draw_case",
     "make_case",
     "open_answers",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from op3.robot.kinematics import rotation_matrix
 from op3.stand_in.hidden import Hidden
-from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK, step_limbs, step_servos
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Limbs:
         mount: natural frequency [Hz] and damping ratio of the elastic stand; frequency 0: stiff.
     """
 
-    def __init__(self, model: mujoco.MjModel, servos: Servos, joints: Sequence[str], mount: tuple[float, float]):
+    def __init__(self, model: mujoco.MjModel, servos: HiddenServos, joints: Sequence[str], mount: tuple[float, float]):
         self._servos = servos
         self.model, names = limb_model(model, elastic=mount[0] > 0)
         self.data = self.model.createData()
@@ -290,7 +290,7 @@ class Floor:
         imu: first places of quaternion, gyro and accelerometer among the sensors; None without an IMU.
     """
 
-    def __init__(self, model: mujoco.MjModel, servos: Servos, joints: Sequence[str], imu: Sequence[int] | None):
+    def __init__(self, model: mujoco.MjModel, servos: HiddenServos, joints: Sequence[str], imu: Sequence[int] | None):
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model.opt.timestep = servos.world.timestep

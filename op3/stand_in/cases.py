@@ -21,14 +21,15 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from op3.robot import DEFAULT, Excitation
-from op3.robot.scenes import Scene
+from op3.motions import Excitation
+from op3.robot import DEFAULT
 from op3.rollout import Rollout
+from op3.scenes.scene import Scene
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
 from op3.stand_in.play import play
 from op3.stand_in.stand_in_robot import StandIn
 from op3.stand_in.suites import SETTINGS, Setting
-from op3.stand_in.world import BENCH_RANGES, Ranges, World
+from op3.stand_in.world import BENCH_RANGES, HiddenWorld, Ranges
 
 CASE_KINDS: tuple[str, ...] = ("single", "pair", "null", "outsider", "poor")
 """One catalogue effect; two; none; something no catalogue holds; one effect seen by a poor excitation only."""
@@ -90,7 +91,7 @@ class Case:
     kind: str
     severity: str | None
     base: str
-    world: World
+    world: HiddenWorld
     hidden: tuple[Hidden, ...]
     joints: tuple[str, ...]
     robot: str = DEFAULT
@@ -153,7 +154,7 @@ def draw_case(
     missing = next((name for name in names if name in bases), None)
     if missing is None and rng.random() < LESS_SHARE and bases:
         missing = str(rng.choice(list(bases)))
-    world = World.random(int(seed), ranges)
+    world = HiddenWorld.random(int(seed), ranges)
     return Case(
         name=f"case_{hashlib.sha256(f'op3 {seed}'.encode()).hexdigest()[:10]}",
         seed=int(seed),
@@ -167,7 +168,7 @@ def draw_case(
     )
 
 
-def _without(world: World, missing: str | None, hidden: dict[str, Hidden]) -> World:
+def _without(world: HiddenWorld, missing: str | None, hidden: dict[str, Hidden]) -> HiddenWorld:
     """The world whose robot lacks one of `BASES`, or has as much of it as is hidden."""
     one = hidden.get(missing or "")
     if missing == "dte":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from op3.robot import ServoMake, load_servo, supply_shares
 from op3.stand_in.hidden import Hidden
 from op3.stand_in.integration import MEMORY, ROBOT, SERVO, STATE, TICK, encoders, step_slow
-from op3.stand_in.world import FORMS, World
+from op3.stand_in.world import FORMS, HiddenWorld
 
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -26,7 +26,7 @@ GEAR_DAMPING = 0.06
 """Damping of teeth in contact, and of a soft gear [N m s/rad]."""
 
 
-class Servos:
+class HiddenServos:
     """All servos of one robot.
 
     Attributes:
@@ -47,7 +47,7 @@ class Servos:
 
     def __init__(
         self,
-        world: World,
+        world: HiddenWorld,
         hidden: Sequence[Hidden],
         joints: Sequence[str],
         makes: Sequence[ServoMake],

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import Excitation, Motion
-from op3.robot.motion_checks import check_targets
-from op3.robot.motions import gain_rows, sample
+from op3.motions import Excitation, Motion
+from op3.motions.motion import gain_rows, sample
+from op3.motions.motion_checks import check_targets
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
 
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Push:
+class TrunkPush:
     """A push of the trunk: force [xyz] in N, in the world's axes, from `start` on for `duration` [s]."""
 
     start: float
@@ -44,10 +44,10 @@ class Push:
 
 
 @dataclass(frozen=True, eq=False)
-class Run(Excitation):
+class FloorExcitation(Excitation):
     """An excitation of a robot on the floor: its gain may be one per row, and the trunk may be pushed."""
 
-    pushes: tuple[Push, ...] = ()
+    pushes: tuple[TrunkPush, ...] = ()
 
 
 def play(
@@ -59,7 +59,7 @@ def play(
     recording: str | None = None,
     settle: float = 1.5,
     still: bool = True,
-    pushes: Sequence[Push] = (),
+    pushes: Sequence[TrunkPush] = (),
     metadata: dict[str, Any] | None = None,
     **placed: Any,
 ) -> Rollout:

@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 from scipy.stats import bootstrap
 
-from op3.sample_intervals import wilson_interval
+from op3.common.sample_intervals import wilson_interval
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
 CONFIDENT = 0.8
@@ -48,7 +48,7 @@ NOTHING = "nothing"
 
 
 @dataclass(frozen=True)
-class Finding:
+class BenchFinding:
     """One effect that a verdict names, or an answer hides.
 
     Attributes:
@@ -66,16 +66,16 @@ class Finding:
     probability: float = 1.0
     size: float | None = None
     interval: tuple[float, float] | None = None
-    others: tuple[Finding, ...] = ()
+    others: tuple[BenchFinding, ...] = ()
     of_base: bool = False
 
-    def same(self, other: Finding) -> bool:
+    def same(self, other: BenchFinding) -> bool:
         """Whether name and joints agree."""
         return self.name == other.name and self.joints == other.joints
 
 
 @dataclass(frozen=True)
-class Verdict:
+class BenchVerdict:
     """What a diagnosis concluded.
 
     Attributes:
@@ -84,12 +84,12 @@ class Verdict:
         failed: whether there is none.
     """
 
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[BenchFinding, ...] = ()
     gap: Mapping[str, Any] | None = None
     failed: bool = False
 
 
-def read_verdict(path: str | Path, joints: Sequence[str]) -> Verdict:
+def read_verdict(path: str | Path, joints: Sequence[str]) -> BenchVerdict:
     """Read `verdict.yaml`.
 
     Args:
@@ -108,10 +108,10 @@ def read_verdict(path: str | Path, joints: Sequence[str]) -> Verdict:
     if not isinstance(entries, list):
         raise ValueError(f"{path}: write `findings:` with a list, empty where nothing is missing")
     found = sorted((_finding(path, entry, joints) for entry in entries), key=lambda one: -one.probability)
-    return Verdict(tuple(found), values.get("gap") or {})
+    return BenchVerdict(tuple(found), values.get("gap") or {})
 
 
-def _finding(path: Path, entry: Any, joints: Sequence[str]) -> Finding:
+def _finding(path: Path, entry: Any, joints: Sequence[str]) -> BenchFinding:
     if not isinstance(entry, Mapping) or not isinstance(entry.get("effect"), str):
         raise ValueError(f"{path}: a finding names no `effect`: {entry!r}")
     name, probability = str(entry["effect"]), entry.get("probability")
@@ -121,7 +121,7 @@ def _finding(path: Path, entry: Any, joints: Sequence[str]) -> Finding:
     name = SAME.get(name, name) if where else name
     size, interval = _size(path, name, entry)
     others = tuple(_finding(path, {"probability": 0.0, **other}, joints) for other in entry.get("alternatives") or ())
-    return Finding(name, where, float(probability), size, interval, others, bool(entry.get("of_base")))
+    return BenchFinding(name, where, float(probability), size, interval, others, bool(entry.get("of_base")))
 
 
 def _size(path: Path, name: str, entry: Mapping[str, Any]) -> tuple[float | None, tuple[float, float] | None]:
@@ -140,10 +140,10 @@ def _normal(where: str | Sequence[str], joints: Sequence[str]) -> tuple[str, ...
     return () if inside >= set(joints) else tuple(sorted(inside))
 
 
-def truth_of(answer: Mapping[str, Any]) -> tuple[Finding, ...]:
+def truth_of(answer: Mapping[str, Any]) -> tuple[BenchFinding, ...]:
     """What an answer hides, as findings; sizes in the catalogue's parameters."""
     return tuple(
-        Finding(
+        BenchFinding(
             effect["name"],
             () if effect["shared"] else tuple(sorted(effect["joints"])),
             size=KINDS[effect["name"]].told(float(effect["size"])),
@@ -152,7 +152,9 @@ def truth_of(answer: Mapping[str, Any]) -> tuple[Finding, ...]:
     )
 
 
-def score_case(answer: Mapping[str, Any], verdict: Verdict, cost: Mapping[str, float] | None = None) -> dict[str, Any]:
+def score_case(
+    answer: Mapping[str, Any], verdict: BenchVerdict, cost: Mapping[str, float] | None = None
+) -> dict[str, Any]:
     """One case: plain values, None where a question does not arise.
 
     Args:
@@ -171,7 +173,7 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict, cost: Mapping[str, f
     truth, kind = truth_of(answer), answer["kind"]
     told = kind in ("single", "pair", "poor")
 
-    def right(finding: Finding) -> bool:
+    def right(finding: BenchFinding) -> bool:
         return any(finding.same(one) for one in truth)
 
     findings = tuple(one for one in verdict.findings if right(one) or not one.of_base)
@@ -205,7 +207,7 @@ def score_case(answer: Mapping[str, Any], verdict: Verdict, cost: Mapping[str, f
     return {**row, **{key: (cost or {}).get(key) for key in ("processor_seconds", "seconds", "peak_memory")}}
 
 
-def _compared(truth: Sequence[Finding], names: Sequence[Finding]) -> dict[str, Any]:
+def _compared(truth: Sequence[BenchFinding], names: Sequence[BenchFinding]) -> dict[str, Any]:
     """Of the first right name with a size: whether its interval holds the truth, and the ratio of both."""
     for finding in names:
         for one in truth:
@@ -317,7 +319,7 @@ def confusion(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], 
     return truths, claims, table.reshape(len(truths), len(claims))
 
 
-def random_name(names: Sequence[str], joints: Sequence[str], rng: np.random.Generator) -> Verdict:
+def random_name(names: Sequence[str], joints: Sequence[str], rng: np.random.Generator) -> BenchVerdict:
     """Baseline: an effect drawn blindly, everywhere or in one joint with equal chance."""
     where = () if rng.random() < 0.5 else (str(rng.choice(joints)),)
-    return Verdict((Finding(str(rng.choice(names)), where),))
+    return BenchVerdict((BenchFinding(str(rng.choice(names)), where),))

@@ -16,7 +16,7 @@ from op3.robot.register_units import (
     GYRO_UNIT,
 )
 from op3.stand_in.integration import TICK
-from op3.stand_in.world import World
+from op3.stand_in.world import HiddenWorld
 
 IMU_EVERY = 5
 """The IMU's registers change every 5 ms, its loop running at 200 Hz [ticks]."""
@@ -68,7 +68,7 @@ def roll_pitch_yaw(quaternion: Array) -> Array:
 class Imu:
     """Gyro and accelerometer with bias, noise and low-pass, attitude from a settled filter."""
 
-    def __init__(self, world: World):
+    def __init__(self, world: HiddenWorld):
         self._blend = 1 - np.exp(-2 * np.pi * world.imu_bandwidth * TICK)
         self._noise = np.repeat([world.gyro_noise, world.accelerometer_noise], 3)
         bias = world.gyro_bias * np.random.default_rng([world.spread_seed, 4]).standard_normal(3)

@@ -14,11 +14,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import (
+from op3.motions import Motion
+from op3.robot import ServoMake
+from op3.rollout import Rollout
+from op3.scenes import (
     BoardDrive,
     BoardMotion,
-    Motion,
-    ServoMake,
     WeightDrive,
     WeightSchedule,
     board_drive,
@@ -26,14 +27,13 @@ from op3.robot import (
     place_tiles,
     tile_ids,
 )
-from op3.robot.scenes import Scene
-from op3.rollout import Rollout
+from op3.scenes.scene import Scene
 from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
-from op3.stand_in.hidden_servos import Servos
+from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK
 from op3.stand_in.play import play
 from op3.stand_in.sensors import Imu, Sensors, quantise
-from op3.stand_in.world import World
+from op3.stand_in.world import HiddenWorld
 
 BOARD_EVERY = 8
 """Ticks between two looks of a board's drive at its motion; in between the board follows it smoothly."""
@@ -49,12 +49,12 @@ class StandIn:
 
     Args:
         world: the truth.
-        scene: a name from `op3.robot.SCENES`, or a scene.
+        scene: a name from `op3.scenes.SCENES`, or a scene.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
     """
 
-    def __init__(self, world: World, scene: str | Scene = "floor", *, seed: int = 0):
+    def __init__(self, world: HiddenWorld, scene: str | Scene = "floor", *, seed: int = 0):
         self._world, self.hidden = world, world.hidden
         self.seed = _whole("seed", seed)
         self.scene = build_scene(scene) if isinstance(scene, str) else scene
@@ -72,7 +72,7 @@ class StandIn:
         ids = [model.joint(name).id for name in names]
         ranges = np.where(model.jnt_limited[ids, None], model.jnt_range[ids], [-np.inf, np.inf])
         count = len(self.joints)
-        self.servos = Servos(world, self.hidden, self.joints, self.makes, self.rest, ranges)
+        self.servos = HiddenServos(world, self.hidden, self.joints, self.makes, self.rest, ranges)
         self._model = model
         self._has_imu = self.scene.robot is not None and self.known.file.imu is not None
         if self.scene.floating:
@@ -192,7 +192,7 @@ class StandIn:
 
         Args:
             board: what moves the board of the scenes "board" and "board_weight"; None: nothing does.
-            tiles: heights of the tiles of the scene "terrain" [m], see `op3.robot.draw_tiles`; None: as they are.
+            tiles: heights of the tiles of the scene "terrain" [m], see `op3.scenes.draw_tiles`; None: as they are.
 
         Raises:
             ValueError: if the scene has no such board.

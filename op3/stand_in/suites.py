@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import (
+from op3.motions import (
     Excitation,
     Motion,
     SinusoidalGait,
-    build_bench,
-    build_scene,
     leg_suite,
     leg_walking,
-    load_robot,
     multisine,
     push_down,
     robot_suite,
@@ -27,9 +24,11 @@ from op3.robot import (
     squat,
     sway,
 )
-from op3.robot.op3_suites import ARM_JOINTS, KNEE, LEG_JOINTS
-from op3.robot.scenes import Scene
-from op3.stand_in.play import Push, Run
+from op3.motions.op3_suites import ARM_JOINTS, KNEE, LEG_JOINTS
+from op3.robot import load_robot
+from op3.scenes import build_bench, build_scene
+from op3.scenes.scene import Scene
+from op3.stand_in.play import FloorExcitation, TrunkPush
 
 Array = NDArray[np.float64]
 Suite = Callable[[int], Sequence[Excitation]]
@@ -54,7 +53,7 @@ class Setting:
     metadata: dict[str, Any] = field(default_factory=dict)
 
 
-def floor_suite(seed: int) -> list[Run]:
+def floor_suite(seed: int) -> list[FloorExcitation]:
     """The whole robot on its feet, 26 runs: squats, weight shifts, soft knees, arms, steps on the spot, pushes.
 
     Args:
@@ -63,10 +62,12 @@ def floor_suite(seed: int) -> list[Run]:
     rng = np.random.default_rng([seed, 23])
     draw = rng.uniform
 
-    def run(motion: Motion, gain: float | None = None, warm: bool = False, pushes: tuple[Push, ...] = ()) -> Run:
+    def run(
+        motion: Motion, gain: float | None = None, warm: bool = False, pushes: tuple[TrunkPush, ...] = ()
+    ) -> FloorExcitation:
         p_gain = motion.p_gain if gain is None else gain
         own = np.asarray(p_gain, dtype=float)
-        return Run(motion, own[:, None] if own.ndim else float(own), 0.1, warm=warm, pushes=pushes)  # type: ignore[arg-type]
+        return FloorExcitation(motion, own[:, None] if own.ndim else float(own), 0.1, warm=warm, pushes=pushes)  # type: ignore[arg-type]
 
     def bend(name: str) -> Motion:
         low, high = draw(1.1, 1.45), draw(0.6, 0.9)
@@ -87,9 +88,9 @@ def floor_suite(seed: int) -> list[Run]:
         walk = gait.motion(4.0)
         return Motion(walk.time, walk.position, walk.joints, name)
 
-    def pushed() -> tuple[Push, ...]:
+    def pushed() -> tuple[TrunkPush, ...]:
         return tuple(
-            Push(float(start), (float(draw(3, 9) * rng.choice([-1, 1])), float(draw(-4, 4)), 0.0))
+            TrunkPush(float(start), (float(draw(3, 9) * rng.choice([-1, 1])), float(draw(-4, 4)), 0.0))
             for start in (1.0, 2.2, 3.4)
         )
 
@@ -108,9 +109,9 @@ def floor_walking(seed: int) -> list[Excitation]:
     """Steps on the spot alone; every sixth run repeats the first."""
     rng = np.random.default_rng([seed, 24])
 
-    def run(name: str) -> Run:
+    def run(name: str) -> FloorExcitation:
         walk = SinusoidalGait(period=float(rng.uniform(0.55, 0.7)), step=0.0, foot_height=0.03).motion(4.0)
-        return Run(Motion(walk.time, walk.position, walk.joints, name))
+        return FloorExcitation(Motion(walk.time, walk.position, walk.joints, name))
 
     first = run("repeated_walk")
     return [first if i % 6 == 0 else run(f"walk_{i - i // 6}") for i in range(26)]

@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from op3.common.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
 from op3.robot import named_configs
-from op3.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
 from op3.stand_in.hidden import Hidden
 
 _SPREAD = (
@@ -54,7 +54,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
     """
     content = read_yaml(Path(__file__).with_name("ranges.yaml"))
     ranges = {**content["random"], **content["bench"]}
-    known = [field.name for field in dataclasses.fields(World)]
+    known = [field.name for field in dataclasses.fields(HiddenWorld)]
     for name, of in (read_yaml(path) if path is not None else {}).items():
         if name not in known:
             raise ValueError(f"{path}: a world has no {name!r}{nearest(name, known)}")
@@ -65,7 +65,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
 
 
 @settings("world")
-class World:
+class HiddenWorld:
     """The truth of one robot and the ground it stands on.
 
     The first eleven are the quantities of the paper's Table I. The rest is what no identification is told of.
@@ -181,7 +181,7 @@ class World:
         """Twelve hexadecimal digits that tell worlds apart without telling anything about them."""
         return hashlib.sha256(repr(dataclasses.astuple(self)).encode()).hexdigest()[:12]
 
-    def replace(self, **changes: Any) -> World:
+    def replace(self, **changes: Any) -> HiddenWorld:
         """A world that differs in some numbers."""
         return dataclasses.replace(self, **changes)
 
@@ -192,8 +192,8 @@ class World:
         return {name: getattr(self, name) * row for name, row in zip(_SPREAD, spread, strict=True)}
 
     @classmethod
-    def random(cls, seed: int, ranges: Ranges | None = None) -> World:
-        """A world drawn from ranges, those of Table I if None; what is not named there is as in `World()`."""
+    def random(cls, seed: int, ranges: Ranges | None = None) -> HiddenWorld:
+        """A world drawn from ranges, those of Table I if None; what is not named there is as in `HiddenWorld()`."""
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise ValueError(f"the seed of a random world must be a whole number of at least 0, got {seed!r}")
         rng = np.random.default_rng([seed, 2])
@@ -204,8 +204,8 @@ class World:
         return cls(**drawn, spread_seed=int(seed))
 
     @classmethod
-    def load(cls, path: str | Path) -> World:
-        """Read a YAML file of `name: value` lines; what it does not name is as in `World()`.
+    def load(cls, path: str | Path) -> HiddenWorld:
+        """Read a YAML file of `name: value` lines; what it does not name is as in `HiddenWorld()`.
 
         A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
         to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [elbow]}`.
@@ -220,7 +220,7 @@ class World:
             raise ValueError(f"{path}: {error}") from None
 
     @classmethod
-    def find(cls, name: str | Path, seed: int = 0) -> World:
+    def find(cls, name: str | Path, seed: int = 0) -> HiddenWorld:
         """A world by what a user calls it.
 
         Args:

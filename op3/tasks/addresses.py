@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot import Scene
+from op3.scenes import Scene
 
 Index = NDArray[np.int64]
 

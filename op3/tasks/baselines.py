@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from op3.motions import SinusoidalGait
 from op3.policy import ActionMap
-from op3.robot import SinusoidalGait
 from op3.servo import RobotModel, effect_class
 
 

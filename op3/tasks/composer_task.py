@@ -8,13 +8,14 @@ from dm_control import composer
 from dm_control.composer.observation import observable
 from dm_env import specs
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.policy import ActionMap
-from op3.robot import build_scene, load_robot, tile_ids
+from op3.robot import load_robot
+from op3.scenes import build_scene, tile_ids
 from op3.servo import RobotModel
 from op3.sim import GearedServo
 from op3.tasks.episodes import World, episode_seed
 from op3.tasks.mdp import Mdp, Outcome
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 from op3.tasks.snapshot import Probe, Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task
 from op3.tasks.whole_step import WholeStep
@@ -41,9 +42,9 @@ class ComposerTask(composer.Task):
         robot = self.scene.robot
         assert robot is not None
         base = None if robot.robot.file.base is None else robot.trunk
-        self.servos = GearedServo(self.scene.joints, model, base, OP3_CONTROL_PERIOD)
+        self.servos = GearedServo(self.scene.joints, model, base, CONTROL_PERIOD)
         robot.attach(self.servos)
-        self._every = round(OP3_CONTROL_PERIOD / PHYSICS_TIMESTEP)
+        self._every = round(CONTROL_PERIOD / PHYSICS_TIMESTEP)
         self.set_timesteps(control_timestep=POLICY_PERIOD, physics_timestep=PHYSICS_TIMESTEP)
         self.mdp = Mdp(task, self.scene, model, self.action_map, 1)
         self.observation = torch.zeros(1, self.mdp.observer.size, dtype=torch.float64)

@@ -13,13 +13,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from op3.robot import Robot, Scene, Tilts, Waves, WeightSchedule, board_drive, draw_tiles, place_tiles, stack, tile_ids
-from op3.robot.surfaces import TILE_HEIGHT
+from op3.common.settings import CONTROL_PERIOD
+from op3.robot import Robot
+from op3.scenes import Scene, Tilts, Waves, WeightSchedule, board_drive, draw_tiles, place_tiles, stack, tile_ids
+from op3.scenes.surfaces import TILE_HEIGHT
 from op3.servo import RobotModel
 from op3.tasks.episodes import Episodes, World
 from op3.tasks.pushes import FIRST_PUSH, Push, Pushes
-from op3.tasks.randomisation import Randomisation as Ranges
-from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.tasks.randomisation import ParameterRanges as Ranges
 
 __all__ = ["Board", "Placement", "Pushing", "Randomisation", "Terrain"]
 
@@ -91,7 +92,7 @@ class Board:
             self._motions[int(row)] = board_motion(self.motion, int(seed))
         self._stacked: Any = stack([self._motions[row] for row in range(len(self._world.qpos))])
         if self._drive is None:
-            self._drive: Any = board_drive(self._world.model, self._motions[0], OP3_CONTROL_PERIOD)
+            self._drive: Any = board_drive(self._world.model, self._motions[0], CONTROL_PERIOD)
 
     def tick(self, time: Array) -> None:
         """Drive the boards at times of each episode [s], ``[env]``."""

@@ -10,14 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.common.settings import nearest
 from op3.policy import ActionMap
 from op3.policy.observations import Sensed
 from op3.policy.terms import Term
-from op3.robot import Robot, Scene
+from op3.robot import Robot
 from op3.robot.register_units import ANGLE_UNIT, GYRO_UNIT
+from op3.scenes import Scene
 from op3.servo import RobotModel
-from op3.settings import nearest
-from op3.tasks import commands, events, rewards, successes, terminations
+from op3.tasks import commands, events, privileged, rewards, successes, terminations
 from op3.tasks.episodes import Array, Episodes, World
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.state import State
@@ -31,6 +32,7 @@ HOMES: Mapping[str, Any] = {
     "success": successes,
     "commands": commands,
     "events": events,
+    "privileged": privileged,
 }
 """Kinds of terms, and the module in which short names are looked up."""
 
@@ -67,6 +69,7 @@ class Mdp:
             angular_velocity, ``[env, joint | 3]``.
         terms: by kind and name.
         state: what the terms saw at the end of the last policy step.
+        privileged: what critics alone see, ``[env, number]``; see `op3.tasks.privileged`.
 
     Raises:
         ValueError: naming the term and the field that cannot be.
@@ -79,6 +82,7 @@ class Mdp:
             "robot": self.robot,
             "scene": scene,
             "model": model,
+            "action_map": action_map,
             "num_envs": num_envs,
             "policy_period": POLICY_PERIOD,
             "duration": task.duration,
@@ -92,6 +96,7 @@ class Mdp:
                 name: Term(kind, name, spec, home, context, options, inputs) for name, spec in task.terms(kind).items()
             }
         self.observer = task.observer(action_map.size)
+        self.privileged = torch.zeros(num_envs, len(task.privileged_signs), dtype=torch.float64)
         self._units = _resolutions(self.robot)
         self.readings: dict[str, Tensor] = {}
         self.state: State
@@ -155,7 +160,7 @@ class Mdp:
             for term in self.terms[kind].values():
                 if hook := term.hook("begin"):
                     hook(episodes)
-        for kind in ("rewards", "shaping", "terminations", "success"):
+        for kind in ("rewards", "shaping", "terminations", "success", "privileged"):
             for term in self.terms[kind].values():
                 if hook := term.hook("begin"):
                     hook(mask)
@@ -175,6 +180,11 @@ class Mdp:
         for term in self.terms["commands"].values():
             if hook := term.hook("begun"):
                 hook(self._begun, snapshot.readings["orientation"][:, 2])
+        feet = len(self.robot.file.feet) if self.task.gait else 0
+        still = Throughout.still(self.num_envs, feet)
+        state = State(snapshot, still, self._previous, self._previous, self.time, self.phase, self._asked())
+        at_first = self._privileged(state, {n: t for n, t in self.terms["privileged"].items() if not t.keeps_memory})
+        self.privileged = torch.where(self._begun[:, None], at_first, self.privileged)
         return self.observer.reset(self._sense(snapshot), self._begun, self._noise)
 
     def resting_commands(self, count: int) -> dict[str, Tensor]:
@@ -218,10 +228,12 @@ class Mdp:
             success &= self._value("success", term, state)
         self._previous = action
         observation = self.observer.push(self._sense(snapshot), self._noise)
+        self.privileged = self._privileged(state, self.terms["privileged"])
         if failed.any():  # what a diverged state would say is worth nothing
             reward = torch.where(failed, 0.0, reward)
             terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
             observation = torch.where(failed[:, None], 0.0, observation)
+            self.privileged = torch.where(failed[:, None], 0.0, self.privileged)
         truncated = (self.steps >= self.task.steps) & ~terminated
         return Outcome(observation, reward, terms, terminated, truncated, success)
 
@@ -231,6 +243,17 @@ class Mdp:
         if tuple(value.shape) != (self.num_envs,):
             raise ValueError(f"{kind}.{term.name} must return [env] = ({self.num_envs},), got {tuple(value.shape)}")
         return value
+
+    def _privileged(self, state: State, terms: Mapping[str, Term]) -> Tensor:
+        """Values of privileged terms, ``[env, number]``; 0 where one of the task is not among these."""
+        columns = []
+        for name, term in self.terms["privileged"].items():
+            shape = (self.num_envs, len(term.target.mirror))
+            value = term(state) if name in terms else torch.zeros(shape, dtype=torch.float64)
+            if tuple(value.shape) != shape:
+                raise ValueError(f"privileged.{name} must return {shape}, as its mirror says, got {tuple(value.shape)}")
+            columns.append(value)
+        return torch.cat(columns, 1) if columns else torch.zeros(self.num_envs, 0, dtype=torch.float64)
 
     def _asked(self) -> dict[str, Tensor]:
         """Commands in force now by name, ``[env, number]``."""

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.tasks.setups import OP3_CONTROL_PERIOD
+from op3.common.settings import CONTROL_PERIOD
 
 Array = NDArray[np.float64]
 
 DIRECTIONS = 8
 """Directions of a push: forwards, then every 45 degrees to the left."""
 
-PUSH_DURATION = 12 * OP3_CONTROL_PERIOD
+PUSH_DURATION = 12 * CONTROL_PERIOD
 """How long a push lasts [s]: a hand's, short against the gait."""
 
 FIRST_PUSH = 1.5
@@ -36,7 +36,7 @@ class Push:
     def towards(cls, direction: int, size: float, start: float) -> "Push":
         """A push of `size` [N s] in one of the `DIRECTIONS`, begun at the tick nearest to `start` [s]."""
         angle = 2 * np.pi * direction / DIRECTIONS
-        tick = round(start / OP3_CONTROL_PERIOD) * OP3_CONTROL_PERIOD
+        tick = round(start / CONTROL_PERIOD) * CONTROL_PERIOD
         return cls(tick, (float(size * np.cos(angle)), float(size * np.sin(angle))))
 
 
@@ -55,6 +55,6 @@ class Pushes:
     def force(self, time: Array) -> Array:
         """Forces [N] at times of each episode [s], ``[sim]``, in the world: ``[sim, 3]``."""
         # half a tick of room on both sides: times are whole ticks up to rounding
-        since = time - self._start + OP3_CONTROL_PERIOD / 2
+        since = time - self._start + CONTROL_PERIOD / 2
         now = (since > 0) & (since < PUSH_DURATION)
         return np.where(now[:, None], self._force, 0.0)

@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from op3.common.settings import settings
 from op3.servo import RobotModel
-from op3.settings import settings
 
 TABLE_I = (
     "torque_constant",
@@ -24,7 +24,7 @@ TABLE_I = (
 
 
 @settings("randomisation")
-class Randomisation:
+class ParameterRanges:
     """Where parameters are drawn from.
 
     Attributes:

@@ -18,6 +18,7 @@ from torch import Tensor
 from op3.policy.heading import wrapped
 from op3.robot import Robot
 from op3.robot.register_units import GRAVITY
+from op3.tasks.privileged import VelocityError
 
 if TYPE_CHECKING:
     from op3.tasks.state import State
@@ -237,9 +238,17 @@ def overload(state: State, robot: Robot) -> Tensor:
     return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
 
 
-def speed_bonus(state: State, velocity: float = 0.3) -> Tensor:
-    """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward."""
-    return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
+def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) -> Tensor:
+    """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward.
+
+    Args:
+        velocity: desired, forwards in the world [m/s].
+        name: of a command whose direction and speed are desired instead.
+    """
+    if name is None:
+        return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
+    along, speed = state.along(name)
+    return along.clamp(-speed, speed)
 
 
 class TrackVelocity:
@@ -263,20 +272,17 @@ class TrackVelocity:
         time_constant: float = 0.5,
         name: str = "velocity",
     ):
-        self.forward, self.sideways, self.turning, self.name = forward, sideways, turning, name
-        self._keep = float(np.exp(-policy_period / time_constant))
-        self._error = torch.zeros(num_envs, 3, dtype=torch.float64)
+        self.forward, self.sideways, self.turning = forward, sideways, turning
+        self._error = VelocityError(num_envs, policy_period, time_constant, name)
 
     def begin(self, rows: Tensor) -> None:
         """Episodes of a mask of robots begin."""
-        self._error[rows] = 0.0
+        self._error.begin(rows)
 
     def __call__(self, state: State) -> Tensor:
         """The term, ``[env]``."""
-        error = state.heading_velocity - state.commands[self.name]
-        self._error = self._keep * self._error + (1.0 - self._keep) * error
         steepness = torch.tensor([self.forward, self.sideways, self.turning], dtype=torch.float64)
-        return _penalty(steepness * self._error.abs()).sum(-1)
+        return _penalty(steepness * self._error(state).abs()).sum(-1)
 
 
 def heading(state: State, steepness: float = 4.0) -> Tensor:

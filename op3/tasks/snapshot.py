@@ -10,7 +10,7 @@ import mujoco
 import torch
 from torch import Tensor
 
-from op3.robot import Scene
+from op3.scenes import Scene
 from op3.tasks import rewards
 from op3.tasks.addresses import Addresses
 from op3.tasks.whole_step import Throughout

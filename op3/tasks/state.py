@@ -83,6 +83,12 @@ class State:
         upwards = rotation(self.snapshot.quaternion)[:, 2]
         return torch.stack([cosine * x + sine * y, cosine * y - sine * x, (upwards * self.angular_velocity).sum(1)], -1)
 
+    def along(self, command: str) -> tuple[Tensor, Tensor]:
+        """Speed in the direction of a commanded velocity, and the commanded speed, ``[env]`` in m/s; turning aside."""
+        asked = self.commands[command][:, :2]
+        speed = torch.linalg.vector_norm(asked, dim=1)
+        return (self.heading_velocity[:, :2] * asked).sum(1) / speed.clamp(min=1e-9), speed
+
     @property
     def tip_position(self) -> Tensor:
         """Of the tip of an arm relative to its base, in the base's frame, ``[env, 3]`` in m."""

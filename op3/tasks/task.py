@@ -5,26 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, fields
 from math import ceil
+from pathlib import Path
 from typing import Annotated, Any
 
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
-from op3.assets import named_configs
+from op3.common.assets import named_configs
+from op3.common.settings import CONTROL_PERIOD, Named, Number, Positive, Text, Whole, nearest, settings
 from op3.policy.actions import ActionMap
 from op3.policy.manifest import Manifest
 from op3.policy.mirror import Mirror
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
-from op3.policy.terms import Term
+from op3.policy.terms import FUNCTION, Term, find
 from op3.robot import Robot, load_robot
-from op3.settings import Named, Number, Positive, Text, Whole, nearest, settings
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 TICKS = 4
 """Ticks of the PD control per policy step: 125 Hz and 31.25 Hz (paper)."""
 
-POLICY_PERIOD = TICKS * OP3_CONTROL_PERIOD
+POLICY_PERIOD = TICKS * CONTROL_PERIOD
 """Time between policy steps [s]."""
 
 Terms = Named[Any]
@@ -55,7 +55,7 @@ class Task:
     Attributes:
         name: of the task.
         robot: name or path of the file of the robot.
-        scene: name for `op3.robot.build_scene`.
+        scene: name for `op3.scenes.build_scene`.
         duration: time limit of an episode [s].
         history: number of earlier observations that the policy sees besides the latest.
         gait: clock of a gait; None for a task without one.
@@ -68,6 +68,7 @@ class Task:
         success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
+        privileged: terms of `op3.tasks.privileged`, which critics see beside the observations.
         curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
             straight lines between; in training alone.
         whole_step: whether currents and motion of the body enter rewards as means over the policy step, or as they are
@@ -88,6 +89,7 @@ class Task:
     success: Terms = field(default_factory=dict)
     events: Terms = field(default_factory=dict)
     commands: Terms = field(default_factory=dict)
+    privileged: Terms = field(default_factory=dict)
     curricula: Named[Any] = field(default_factory=dict)
     whole_step: bool = True
 
@@ -97,7 +99,10 @@ class Task:
 
     def terms(self, kind: str) -> dict[str, dict[str, Any]]:
         """Terms of a kind that are on, by name."""
-        return {name: dict(spec or {}) for name, spec in getattr(self, kind).items() if spec is not None}
+        specs = {name: spec for name, spec in getattr(self, kind).items() if spec is not None}
+        if bad := [name for name, spec in specs.items() if not isinstance(spec, Mapping)]:
+            raise ValueError(f"{kind}.{bad[0]} must be a mapping of fields, or null, got {specs[bad[0]]!r}")
+        return {name: dict(spec) for name, spec in specs.items()}
 
     @property
     def schedules(self) -> dict[str, Any]:
@@ -153,7 +158,20 @@ class Task:
         robot = load_robot(self.robot)
         images = {name: getattr(term.target, "mirror", None) for name, term in self._commands(robot).items()}
         example = self.example(robot, action_map.size)
-        return Mirror(self.observer(action_map.size), example, action_map, images)
+        return Mirror(self.observer(action_map.size), example, action_map, images, self.privileged_signs)
+
+    @property
+    def privileged_signs(self) -> tuple[float, ...]:
+        """Of the image of each number that critics alone see, in the robot's plane of symmetry."""
+        from op3.tasks import privileged
+
+        signs: list[float] = []
+        for name, spec in self.terms("privileged").items():
+            term = find(spec.get(FUNCTION, name), privileged, f"privileged.{name}")
+            if not hasattr(term, "mirror"):
+                raise ValueError(f"privileged.{name}: give the function mirror = (<a sign for each of its numbers>)")
+            signs += term.mirror
+        return tuple(signs)
 
     def _commands(self, robot: Robot) -> dict[str, Term]:
         """The terms of the commands, for one robot."""
@@ -181,9 +199,12 @@ class Task:
 
     def check_policy(self, manifest: Manifest, name: str) -> None:
         """Refuse a policy that cannot attempt the task; a ValueError that begins with its name."""
+        made, here = manifest.action_map.robot, load_robot(self.robot)
+        if load_robot(made).name != here.name:
+            raise ValueError(f"{name} was trained for the robot {made}, the task's is {here.name}; add robot={made}")
         layout = self.observer(manifest.action_map.size).layout
         try:
-            manifest.check_fits(layout, self.history, 1 / OP3_CONTROL_PERIOD, 1 / POLICY_PERIOD)
+            manifest.check_fits(layout, self.history, 1 / CONTROL_PERIOD, 1 / POLICY_PERIOD)
         except ValueError as error:
             raise ValueError(f"{name} does not fit task {self.name}: {error}") from None
 
@@ -211,9 +232,10 @@ def task_names() -> tuple[str, ...]:
 
 
 def find_task(task: str | Task, changes: Mapping[str, Any] | None = None, **values: Any) -> Task:
-    """A task by name, with some of its values changed.
+    """A task, with some of its values changed.
 
     Args:
+        task: a name in ``conf/task``, or the path of such a file.
         changes: values by dotted path, see `Task.changed`.
         **values: values at the top, such as ``duration``.
 
@@ -221,20 +243,26 @@ def find_task(task: str | Task, changes: Mapping[str, Any] | None = None, **valu
         ValueError: if there is no such task, or no such value.
     """
     if isinstance(task, str):
-        task = _made(_read(task))
+        path = Path(task)
+        beside = {file.stem: file for file in path.parent.glob("*.yaml")} if path.is_file() else {}
+        task = _made(_read(path.stem if beside else task, beside))
     changes = {**(changes or {}), **values}
     return task.changed(changes) if changes else task
 
 
-def _read(name: str) -> DictConfig:
-    """A task's file with the files of its defaults below it, as Hydra composes them."""
-    known = named_configs("task")
+def _read(name: str, beside: Mapping[str, Path]) -> DictConfig:
+    """A task's file with the files of its defaults below it, as Hydra composes them.
+
+    Args:
+        beside: files by name that go before those in ``conf/task``.
+    """
+    known = {**named_configs("task"), **beside}
     if name not in known:
         raise ValueError(f"unknown task {name!r}{nearest(name, known)}")
     own = OmegaConf.load(known[name])
     assert isinstance(own, DictConfig)
     layers = [entry for entry in own.pop("defaults", []) if entry != "_self_"]
-    merged = OmegaConf.merge(*(_read(layer) for layer in layers), own)
+    merged = OmegaConf.merge(*(_read(layer, beside) for layer in layers), own)
     assert isinstance(merged, DictConfig)
     return merged
 

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from op3.common.settings import GAIN_HIGH
+from op3.policy.actions import ActionMap
 from op3.robot import Robot
 from op3.robot.kinematics import home_height
+from op3.robot.self_collision import LARGEST_OVERLAP_AHEAD, SelfCollision
 
 if TYPE_CHECKING:
     from op3.tasks.state import State
 
-__all__ = ["Lag", "height", "tilt"]
+__all__ = ["CommandedCollision", "Lag", "height", "tilt"]
 
 
 def tilt(state: State, angle: float) -> Tensor:
@@ -32,12 +35,15 @@ class Lag:
     Stepping in place earns the upright reward, and no slope leads on from there; a learner's episodes end there.
 
     Args:
-        velocity: desired forward speed [m/s].
         distance: largest [m].
+        velocity: desired forward speed [m/s].
+        name: of a command whose direction and speed are desired instead; at its zero nothing is behind.
     """
 
-    def __init__(self, num_envs: int, policy_period: float, velocity: float, distance: float):
-        self.velocity, self.distance = velocity, distance
+    def __init__(
+        self, num_envs: int, policy_period: float, distance: float, velocity: float = 0.3, name: str | None = None
+    ):
+        self.velocity, self.distance, self.name = velocity, distance, name
         self._period, self._behind = policy_period, torch.zeros(num_envs, dtype=torch.float64)
 
     def begin(self, rows: Tensor) -> None:
@@ -46,6 +52,30 @@ class Lag:
 
     def __call__(self, state: State) -> Tensor:
         """Whether each robot is too far behind, ``[env]``."""
-        shortfall = (self.velocity - state.base_velocity[:, 0]) * (1.0 if self.velocity >= 0 else -1.0)
+        if self.name is None:
+            shortfall = (self.velocity - state.base_velocity[:, 0]) * (1.0 if self.velocity >= 0 else -1.0)
+        else:
+            along, speed = state.along(self.name)
+            shortfall = speed - along
+            self._behind = torch.where(speed > 0.0, self._behind, 0.0)
         self._behind = (self._behind + self._period * shortfall).clamp(min=0.0)
         return self._behind > self.distance
+
+
+class CommandedCollision:
+    """The action drives parts of the robot into each other, where `op3 deploy` would stop it.
+
+    Args:
+        overlap: largest depth [m].
+    """
+
+    def __init__(self, robot: Robot, action_map: ActionMap, overlap: float = LARGEST_OVERLAP_AHEAD):
+        self.overlap, self._action_map = overlap, action_map
+        self._parts = SelfCollision(robot, margin=0.0)
+
+    def __call__(self, state: State) -> Tensor:
+        """Whether each robot's action does, ``[env]``."""
+        commands = self._action_map.commands(state.action)
+        target, stiffness = commands["position_target"].numpy(), (commands["p_gain"] / GAIN_HIGH).numpy()
+        rows = zip(state.joint_position.numpy(), target, stiffness, strict=True)
+        return torch.tensor([self._parts.commanded(*row, self.overlap) is not None for row in rows])

@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from op3.robot import Scene
 from op3.robot.register_units import GRAVITY
+from op3.scenes import Scene
 from op3.tasks.addresses import Addresses
 
 Array = NDArray[np.float64]
@@ -48,6 +48,12 @@ class Throughout:
     peak_force: Tensor
     peak_acceleration: Tensor
     peak_penetration: Tensor
+
+    @classmethod
+    def still(cls, count: int, feet: int) -> Throughout:
+        """So many robots before their first step."""
+        whole, of_feet = torch.zeros(count, dtype=torch.float64), torch.zeros(count, feet, dtype=torch.float64)
+        return cls(*[whole] * 4, *[of_feet] * 3, *[whole] * 3)
 
     def replace(self, **values: Tensor) -> Throughout:
         """The same with other values of some attributes."""

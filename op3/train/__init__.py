@@ -2,6 +2,9 @@
 
 import logging
 import warnings
+from typing import TYPE_CHECKING
+
+from op3.common.lazy import lazy
 
 with warnings.catch_warnings():  # TorchRL warns of classes of its own
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -10,14 +13,16 @@ logging.getLogger("torchrl").setLevel(logging.WARNING)  # and says whenever it m
 
 # isort: split
 from op3.train.algorithm import Algorithm, AlgorithmSettings, Explorer
-from op3.train.evaluate import evaluate
+from op3.train.greedy_episodes import evaluate
 from op3.train.off_policy import Mirrored, OffPolicy, OffPolicySettings
-from op3.train.ppo import PPO, PPOSettings
 from op3.train.practice import Practice
-from op3.train.recorded import transitions
 from op3.train.sac import SAC, SACSettings
-from op3.train.td3 import TD3, TD3Settings
 from op3.train.training import Progress, TrainSettings, train
+
+if TYPE_CHECKING:
+    from op3.train.ppo import PPO, PPOSettings
+    from op3.train.recorded import transitions
+    from op3.train.td3 import TD3, TD3Settings
 
 __all__ = [
     "PPO",
@@ -39,3 +44,5 @@ __all__ = [
     "train",
     "transitions",
 ]
+
+__getattr__ = lazy(__name__)

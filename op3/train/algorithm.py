@@ -14,13 +14,14 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
+from op3.common.settings import Count, Number, Positive, Some, settings
 from op3.policy import Manifest, PolicyBundle
 from op3.policy.mirror import Mirror
-from op3.settings import Count, Number, Positive, Some, settings
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork
 
 NORMALISED = "normalised"
-"""Key of the normalised observation, which networks read; environments and stored transitions have ``observation``."""
+"""Key of the normalised observation, privileged numbers behind it, of which policies read the observation alone;
+environments and stored transitions have ``observation`` and, where a task has it, ``privileged``."""
 
 Measures = dict[str, Tensor]
 """Scalars by name, for logs."""
@@ -89,12 +90,15 @@ class Algorithm(nn.Module, ABC):
         self.environments = environment.batch_size[0]
         self.observation_size = environment.observation_spec["observation"].shape[-1]
         self.action_size = environment.action_spec.shape[-1]
+        privileged = "privileged" in environment.observation_spec
+        self.seen = ("observation", "privileged") if privileged else ("observation",)
+        self.seen_size = sum(environment.observation_spec[name].shape[-1] for name in self.seen)
         self.mirror, self.device = mirror, torch.device(device)
         self.normalisation = getattr(self.settings, "normalisation", "running")
         self.updates = 0
         self.optimisers: dict[str, torch.optim.Optimizer] = {}
         torch.manual_seed(seed)  # weights are drawn on the processor, so that a seed gives the same on every device
-        self.normaliser = Normaliser(self.observation_size, self.settings.clip)
+        self.normaliser = Normaliser(self.seen_size, self.settings.clip)
         self.network = self.policy_network(initial_action)
         self.build()
         self.to(self.device)
@@ -196,8 +200,12 @@ class Algorithm(nn.Module, ABC):
         """Set the normalised observations of transitions."""
         places: Any = (batch, batch["next"])
         for place in places:
-            place[NORMALISED] = self.normaliser(place["observation"])
+            place[NORMALISED] = self.normaliser(self.all_seen(place))
         return batch
+
+    def all_seen(self, place: TensorDictBase) -> Tensor:
+        """Observations and what critics see besides, ``[..., observation + privileged]``."""
+        return torch.cat([place[name] for name in self.seen], -1)
 
     def step(self, name: str, loss: Tensor) -> None:
         """One step of an optimiser along the gradient of its own parameters alone."""
@@ -220,8 +228,8 @@ class Algorithm(nn.Module, ABC):
     def _policy_weights(self) -> dict[str, Tensor]:
         """The tensors of a bundle, as views of this policy's."""
         weights: dict[str, Tensor] = {
-            "observation.mean": self.normaliser.mean,
-            "observation.scale": self.normaliser.scale,
+            "observation.mean": self.normaliser.mean[: self.observation_size],
+            "observation.scale": self.normaliser.scale[: self.observation_size],
         }
         layers = [layer for layer in self.network.mlp if isinstance(layer, nn.Linear)]
         for number, layer in enumerate(layers):

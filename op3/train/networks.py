@@ -39,7 +39,7 @@ class Normaliser(nn.Module):
         self.clip = clip
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("scale", torch.ones(size))
-        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("count", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("exact_mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("squares", torch.zeros(size, dtype=torch.float64))
 
@@ -58,23 +58,25 @@ class Normaliser(nn.Module):
 
     @torch.no_grad()
     def assume(self, mean: Tensor, scale: Tensor, count: int) -> None:
-        """Go on as if `count` observations of this mean and scale had been seen."""
-        self.mean.copy_(mean)
-        self.scale.copy_(scale)
-        self.exact_mean.copy_(mean)
-        self.squares.copy_(scale.double().square() * count)
-        self.count.fill_(count)
+        """Go on as if `count` observations of this mean and scale had been seen; they may lack the last numbers."""
+        width = len(mean)
+        self.mean[:width] = mean
+        self.scale[:width] = scale
+        self.exact_mean[:width] = mean
+        self.squares[:width] = scale.double().square() * count
+        self.count[:width] = count
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Normalised observations [..., observation]."""
-        return ((observation - self.mean) / self.scale).clamp_(-self.clip, self.clip)
+        """Normalised observations [..., observation]; they may lack the last of the numbers."""
+        width = observation.shape[-1]
+        return ((observation - self.mean[:width]) / self.scale[:width]).clamp_(-self.clip, self.clip)
 
 
 class PolicyNetwork(nn.Module):
     """Normalised observations to mean and standard deviation of the action before tanh.
 
     Args:
-        observation_size: numbers in an observation.
+        observation_size: numbers in an observation; more in the input are not read.
         action_size: numbers in an action.
         hidden: units of the hidden layers.
         activation: of the hidden layers.
@@ -96,7 +98,7 @@ class PolicyNetwork(nn.Module):
         super().__init__()
         outputs = action_size if largest_std is None else 2 * action_size
         self.mlp = MLP(observation_size, outputs, num_cells=list(hidden), activation_class=_ACTIVATIONS[activation])
-        self.action_size = action_size
+        self.observation_size, self.action_size = observation_size, action_size
         self._std, self._largest_std = initial_std, largest_std
         action = torch.zeros(action_size) if initial_action is None else torch.as_tensor(initial_action).float()
         last = self.mlp[-1]
@@ -108,7 +110,7 @@ class PolicyNetwork(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation [..., action]."""
-        values = self.mlp(observation)
+        values = self.mlp(observation[..., : self.observation_size])
         if self._largest_std is None:
             return values, torch.full_like(values, self._std)
         mean, log_std = values.chunk(2, -1)

@@ -10,8 +10,8 @@ from torchrl.envs.transforms import MultiStepTransform, Transform
 from torchrl.modules import ValueOperator
 from torchrl.objectives import LossModule, SoftUpdate
 
+from op3.common.settings import Count, NotNegative, Number, Positive, Share, Whole, settings
 from op3.policy.mirror import Mirror
-from op3.settings import Count, NotNegative, Number, Positive, Share, Whole, settings
 from op3.train.algorithm import NORMALISED, Algorithm, AlgorithmSettings, Measures
 from op3.train.networks import QNetwork, bfloat16_is_faster
 
@@ -86,7 +86,7 @@ class OffPolicy(Algorithm):
         chosen = self.settings
         bfloat16 = bfloat16_is_faster(self.device) if chosen.bfloat16 is None else chosen.bfloat16
         hidden = chosen.critic_hidden or chosen.hidden
-        return QNetwork(self.observation_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
+        return QNetwork(self.seen_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
 
     def critic(self) -> ValueOperator:
         """A fresh Q function as TorchRL's losses take it."""
@@ -134,7 +134,7 @@ class OffPolicy(Algorithm):
     def take(self, rollout: TensorDictBase) -> Measures:
         """Store the transitions, as returns over n steps, and measure the observations."""
         if self.settings.normalisation == "running" or self.steps < self.settings.warmup:
-            self.normaliser.update(rollout["observation"])
+            self.normaliser.update(self.all_seen(rollout))
         self.steps += rollout.numel()
         self.stored += rollout.numel()
         self._extend(self.multi_step, rollout)
@@ -151,10 +151,10 @@ class OffPolicy(Algorithm):
         self._extend(self.returns(), whole)
 
     def _extend(self, returns: MultiStepTransform, rollout: TensorDictBase) -> None:
-        ends = [("next", name) for name in ("observation", "reward", "done", "terminated")]
-        complete = returns.inv(rollout.select("observation", "action", *ends))
+        ends = [("next", name) for name in (*self.seen, "reward", "done", "terminated")]
+        complete = returns.inv(rollout.select(*self.seen, "action", *ends))
         if complete is not None:
-            self.buffer.extend(complete.select("observation", "action", "steps_to_next_obs", *ends).reshape(-1))
+            self.buffer.extend(complete.select(*self.seen, "action", "steps_to_next_obs", *ends).reshape(-1))
 
     def learn(self) -> Measures:
         """The updates that the steps since the last call bring."""
@@ -234,10 +234,14 @@ class Mirrored(Transform):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch with its first part mirrored, in place."""
         part = slice(round(self.share * len(tensordict)))
-        for place, image in (
-            (tensordict["observation"], self.mirror.observation),
-            (tensordict["action"], self.mirror.action),
-            (tensordict["next", "observation"], self.mirror.observation),
-        ):
-            place[part] = image(place[part])
+        images = {
+            "observation": self.mirror.observation,
+            "action": self.mirror.action,
+        }
+        if "privileged" in tensordict:
+            images["privileged"] = self.mirror.privileged
+        places: Any = (tensordict, tensordict["next"])
+        for place in places:
+            for name in images.keys() & place.keys():
+                place[name][part] = images[name](place[name][part])
         return tensordict

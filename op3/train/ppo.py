@@ -8,7 +8,7 @@ from torchrl.modules import MLP, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from op3.settings import Count, NotNegative, Positive, Share, settings
+from op3.common.settings import Count, NotNegative, Positive, Share, settings
 from op3.train.algorithm import NORMALISED, Algorithm, AlgorithmSettings, Explorer, Measures
 
 KEPT = (NORMALISED, "action", "action_log_prob", "advantage", "value_target")
@@ -48,7 +48,7 @@ class PPO(Algorithm):
         """Make the value function, the loss and the advantages."""
         chosen = self.settings
         hidden = list(chosen.critic_hidden or chosen.hidden)
-        value = ValueOperator(MLP(self.observation_size, 1, num_cells=hidden, activation_class=nn.ReLU), [NORMALISED])
+        value = ValueOperator(MLP(self.seen_size, 1, num_cells=hidden, activation_class=nn.ReLU), [NORMALISED])
         self.loss = ClipPPOLoss(
             self.stochastic_actor(), value, clip_epsilon=chosen.clip_ratio, entropy_coeff=chosen.entropy
         )
@@ -87,5 +87,5 @@ class PPO(Algorithm):
                 self.optimisers["loss"].step()
                 self.updates += 1
                 measures = {name: losses[name].detach() for name in (*names, "entropy")}
-        self.normaliser.update(rollout["observation"])
+        self.normaliser.update(self.all_seen(rollout))
         return measures

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from op3.settings import Listed, Named, Number, settings
+from op3.common.settings import Listed, Named, Number, settings
 
 Schedule = Listed[Listed[Number]]
 """Pairs of a number of steps and a value, with straight lines between and constant beyond."""

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from op3.settings import Number, Positive, settings
+from op3.common.settings import Number, Positive, settings
 from op3.train.algorithm import NORMALISED, Measures
 from op3.train.networks import Ensemble
 from op3.train.off_policy import OffPolicy, OffPolicySettings

@@ -7,7 +7,7 @@ from torch import Tensor
 from torchrl.data import Bounded
 from torchrl.objectives import LossModule, TD3Loss
 
-from op3.settings import Positive, settings
+from op3.common.settings import Positive, settings
 from op3.train.algorithm import NORMALISED
 from op3.train.networks import PolicyNetwork
 from op3.train.off_policy import OffPolicy, OffPolicySettings

@@ -12,11 +12,11 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 
+from op3.common.settings import Count, Whole, settings
 from op3.policy import Manifest
-from op3.settings import Count, Whole, settings
 from op3.train.algorithm import Algorithm
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
-from op3.train.evaluate import Policy
+from op3.train.greedy_episodes import Policy
 from op3.train.practice import Practice
 
 CHECKPOINT = "checkpoint.pt"

@@ -6,7 +6,7 @@ import torch
 
 from op3.compliance.compare import _of_shares
 from op3.compliance.compliance_study import Passed, Sizes, StiffFamily, Study, contestants
-from op3.robot import SinusoidalGait
+from op3.motions import SinusoidalGait
 from op3.sim import load_model
 from op3.tasks import find_task
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.compliance.pushing import Survival, survive_pushes
 from op3.envs import make_env
 from op3.envs.actors import find_actor
 from op3.tasks import find_task
 from op3.tasks.pushes import DIRECTIONS, Push
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 
 def test_area_under_the_survival():
@@ -57,8 +57,8 @@ def test_a_restart_leaves_the_pushes_of_the_others():
     event.replace(np.arange(3), [Push.towards(number, 2.0 + number, 1.0) for number in range(3)])
     env.begin({1: 4})
     impulse = np.zeros((3, 3))
-    for time in np.arange(0.0, 4.0, OP3_CONTROL_PERIOD):
+    for time in np.arange(0.0, 4.0, CONTROL_PERIOD):
         event.tick(np.full(3, time))
         wrench = env.mdp._world.base_wrench
-        impulse += OP3_CONTROL_PERIOD * wrench[:, :3]
+        impulse += CONTROL_PERIOD * wrench[:, :3]
     np.testing.assert_allclose(np.linalg.norm(impulse, axis=1), [2.0, 1.0, 4.0])

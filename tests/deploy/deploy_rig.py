@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from op3.deploy.dynamixel_bus import Bus
-from op3.deploy.emulator import EmulatedRobot, Faults, Timing, VirtualPort, read_frames
+from op3.deploy.emulator import EmulatedRobot, Faults, LineTiming, VirtualPort, read_frames
 from op3.deploy.limits import Limits
 from op3.deploy.operator import Operator
-from op3.deploy.phases import GainRamp, Hold, Move, Phase
+from op3.deploy.phases import GainRamp, HoldPose, Move, Phase
 from op3.deploy.protocol import Instruction, Packet, Parser
 from op3.deploy.registers import DYNAMIXEL_X
 from op3.deploy.safety import Safety
-from op3.deploy.session import Logs, Outcome, Session
+from op3.deploy.session import Logs, Session, SessionOutcome
 from op3.robot import pose
 from op3.rollout import Metadata
 from op3.stand_in.sensors import Sensors
@@ -110,7 +110,7 @@ class Rig:
         duration: float = 1.0,
         torque: bool = True,
         current_scale: float = 1.0,
-    ) -> Outcome:
+    ) -> SessionOutcome:
         """A session; by default ramp, move to the stand pose, hold it."""
         stand = pose("stand")
         logs = None
@@ -123,7 +123,7 @@ class Rig:
         def make(loop: Session) -> Sequence[Phase]:
             if phases is None:
                 move = Move(stand, start=lambda: loop.issued)
-                return [GainRamp(), move, Hold(stand, duration=duration, log="run")]
+                return [GainRamp(), move, HoldPose(stand, duration=duration, log="run")]
             return phases(loop) if callable(phases) else phases
 
         return session.run(make)
@@ -158,7 +158,7 @@ def make_rig(
     folder: Path,
     *,
     faults: Faults | None = None,
-    timing: Timing | None = None,
+    timing: LineTiming | None = None,
     settings: dict[str, int] | None = None,
     seed: int = 0,
     prepare: Callable[[EmulatedRobot], Any] | None = None,

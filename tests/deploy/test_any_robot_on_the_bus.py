@@ -10,7 +10,9 @@ from op3.deploy import Player
 from op3.deploy.connection import connect
 from op3.deploy.dynamixel_bus import Bus
 from op3.deploy.emulator import EmulatedRobot, SimPhysics, VirtualPort
-from op3.robot import build_scene, load_robot, multisine
+from op3.motions import multisine
+from op3.robot import load_robot
+from op3.scenes import build_scene
 from op3.sim import servo_model
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))

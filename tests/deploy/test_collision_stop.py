@@ -6,7 +6,7 @@ from deploy_rig import make_rig
 
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import Limits
-from op3.deploy.phases import GainRamp, Hold, Move
+from op3.deploy.phases import GainRamp, HoldPose, Move
 from op3.robot import pose
 from op3.robot.self_collision import HORIZON, SelfCollision
 from tests.op3_table import JOINTS, OP3
@@ -59,7 +59,7 @@ def test_a_pose_that_is_measured_ends_the_run(tmp_path):
     """Joints that are moved by something else: damped, then off, with the two parts in the message."""
     rig = make_rig(tmp_path)
 
-    class Pushed(Hold):
+    class Pushed(HoldPose):
         def command(self, elapsed, state):
             if elapsed > 20:
                 rig.physics.position = crossed(0.03 + 0.002 * (elapsed - 20))
@@ -75,7 +75,7 @@ def test_a_pose_that_is_measured_ends_the_run(tmp_path):
 def test_a_pose_that_is_commanded_ends_the_run(tmp_path):
     """A stiff target inside the other leg is refused before anything of it is written; damped, then off."""
     rig = make_rig(tmp_path)
-    outcome = rig.run([GainRamp(), Hold(crossed(0.2), duration=1.0)])
+    outcome = rig.run([GainRamp(), HoldPose(crossed(0.2), duration=1.0)])
     assert outcome.code == ExitCode.SELF_COLLISION
     assert outcome.reason.startswith("at the commanded angles the robot hits itself: ")
     asked = round(6.0 * 0.2 / 0.00269)  # counts that the target would have been worth
@@ -86,8 +86,8 @@ def test_a_pose_that_is_commanded_ends_the_run(tmp_path):
 def test_limits_of_overlap_are_settings(tmp_path):
     """With limits of 0.1 m the same target is carried out."""
     rig = make_rig(tmp_path)
-    limits = Limits(overlap=0.1, overlap_ahead=0.1, overlap_commanded=0.1)
-    outcome = rig.run([GainRamp(), Move(crossed(0.2)), Hold(crossed(0.2), duration=0.1)], limits=limits)
+    limits = Limits(overlap=0.1, overlap_ahead=0.1)
+    outcome = rig.run([GainRamp(), Move(crossed(0.2)), HoldPose(crossed(0.2), duration=0.1)], limits=limits)
     assert outcome.code == ExitCode.OK
     assert rig.physics.position[LEFT] > 0.15
 

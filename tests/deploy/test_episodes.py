@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from op3.deploy import Player
-from op3.envs.returns import ReturnsBench
 from op3.policy import PolicyBundle
 from op3.robot import asset_path
 from op3.sim import load_model
 from op3.tasks.evaluation import evaluation_return
+from op3.transfer.returns import ReturnsBench
 from tests.envs.holding import holding_bundle
 
 SOURCES = (

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from deploy_rig import make_rig
 
-from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, Overheat, Silent, Timing, Unplug
+from op3.deploy.emulator import BrownOut, Faults, FrozenImu, HardwareFault, LineTiming, Overheat, Silent, Unplug
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import Command, CurrentLimiter, Limits
-from op3.deploy.phases import GainRamp, Hold
+from op3.deploy.phases import GainRamp, HoldPose
 from op3.deploy.registers import HardwareError
 from op3.robot import pose
 from op3.rollout import Rollout
@@ -16,7 +16,7 @@ from tests.op3_table import HIGH, JOINTS, LOW, OP3, SERVO_IDS, indices
 KNEE, START = SERVO_IDS["l_knee"], 3.0
 """The servo that goes wrong, and when [s]; torque comes on at about 0.9 s."""
 
-PHASES = (GainRamp, lambda: Hold(pose("stand"), duration=4.0, log="run"))
+PHASES = (GainRamp, lambda: HoldPose(pose("stand"), duration=4.0, log="run"))
 
 
 def faulty(tmp_path, *scheduled, **rates):
@@ -223,7 +223,7 @@ def test_plugged_in_again_with_the_latency_of_a_new_adapter(tmp_path):
 
     def plug_in():
         rig.robot.unplugged = False
-        rig.robot.bus.timing = Timing(latency_timer=0.016)
+        rig.robot.bus.timing = LineTiming(latency_timer=0.016)
 
     rig.robot.at(START + 2.0, plug_in)
     outcome = go(rig)
@@ -260,7 +260,7 @@ def test_a_held_up_loop_is_told_from_a_running_one(tmp_path):
     """A stall of 150 ms, in which the watchdogs let go, ends the run instead of commanding servos that ignore it."""
     stalled = []
 
-    class Stalling(Hold):
+    class Stalling(HoldPose):
         def command(self, elapsed, state):
             if elapsed > 100 and not stalled:
                 stalled.append(True)

@@ -7,7 +7,7 @@ from deploy_rig import make_rig
 from op3.deploy import FollowPolicy, Plan, PolicyRunner, connect, run
 from op3.deploy.emulator import Faults
 from op3.deploy.exit_codes import ExitCode
-from op3.deploy.phases import GainRamp, Hold
+from op3.deploy.phases import GainRamp, HoldPose
 from op3.policy import PolicyBundle
 from op3.robot import asset_path, pose
 
@@ -18,7 +18,7 @@ def test_an_hour_with_lost_reads(tmp_path):
     rig = make_rig(tmp_path, faults=Faults(lost=0.0026), record=False)
     last, jump, missed, ticks = None, 0, 0, 0
 
-    class Watched(Hold):
+    class Watched(HoldPose):
         def command(self, elapsed, state):
             nonlocal last, jump, missed, ticks
             goals = np.array(rig.register("goal_current"))

@@ -14,14 +14,15 @@ from op3.deploy.dynamixel_bus import Unplugged
 from op3.deploy.emulator import USUAL_SETTINGS
 from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command
-from op3.deploy.monitors import Verdict
+from op3.deploy.monitors import MonitorResult
 from op3.deploy.operator import Operator
-from op3.deploy.panel import Panel
+from op3.deploy.panel import StatusPanel
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction
 from op3.deploy.ticker import Ticker
-from op3.robot import Motion, pose, squat
+from op3.motions import Motion, squat
+from op3.robot import pose
 from op3.rollout import Rollout
 from tests.op3_table import JOINTS, OP3
 from tests.scripts import run_script
@@ -171,7 +172,7 @@ def shown(panel, rig, times):
     state, ticker = rig.bus.read_state(), Ticker(rig.robot.clock)
     ticker.wait()
     for _ in range(times):
-        panel("hold", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), Verdict(note="all odd"), ticker)
+        panel("hold", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), MonitorResult(note="all odd"), ticker)
         deadline = time.monotonic() + 10
         while not (panel._waiting.empty() or panel._stream.delay or time.monotonic() > deadline):
             time.sleep(0.01)
@@ -181,7 +182,7 @@ def test_what_is_said_stays_above_the_panel(tmp_path):
     """One line per joint, rewritten in place; a question stays, and the next block begins below it, in 80 columns."""
     rig, window, file = make_rig(tmp_path), Window(), io.StringIO()
     rig.robot.switch_on()
-    silent, panel = Panel(OP3, stream=file, every=2), Panel(OP3, stream=window, every=2)
+    silent, panel = StatusPanel(OP3, stream=file, every=2), StatusPanel(OP3, stream=window, every=2)
     shown(silent, rig, 3)
     assert file.getvalue() == ""  # no terminal
     panel.say("before")
@@ -206,7 +207,7 @@ def test_a_stalled_terminal_does_not_hold_up_the_loop(tmp_path):
     window.delay = 5.0
     rig.robot.switch_on()
     before = time.monotonic()
-    shown(Panel(OP3, stream=window, every=2), rig, 20)
+    shown(StatusPanel(OP3, stream=window, every=2), rig, 20)
     assert time.monotonic() - before < 2.0
 
 

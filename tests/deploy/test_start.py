@@ -7,10 +7,10 @@ import pytest
 from deploy_rig import make_rig
 
 from op3.deploy import start_checks
-from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, Silent, Timing
+from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, LineTiming, Silent
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.operator import Operator
-from op3.deploy.phases import GainRamp, Hold
+from op3.deploy.phases import GainRamp, HoldPose
 from op3.deploy.protocol import Error, Instruction
 from op3.deploy.registers import DYNAMIXEL_X, HardwareError
 from op3.robot import pose
@@ -48,11 +48,11 @@ FAILURES = {
     "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not normal: l_knee 30"),
     "shutdown": (put("l_knee", "shutdown", 0), "shutdown: not normal: l_knee 0; .*mode=setup"),
     "latency timer": (
-        dict(timing=Timing(latency_timer=0.016)),
+        dict(timing=LineTiming(latency_timer=0.016)),
         r"servo power: answers come after 16 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
     ),
-    "latency timer of 8 ms": (dict(timing=Timing(latency_timer=0.008)), "answers come after 8 ms: .*latency timer"),
-    "latency timer of 4 ms": (dict(timing=Timing(latency_timer=0.004)), "answers come after 4 ms: .*latency timer"),
+    "latency timer of 8 ms": (dict(timing=LineTiming(latency_timer=0.008)), "answers come after 8 ms: .*latency timer"),
+    "latency timer of 4 ms": (dict(timing=LineTiming(latency_timer=0.004)), "answers come after 4 ms: .*latency timer"),
     "protocol": (
         put("l_knee", "protocol_version", 1),
         r"ping: protocol 1.0 is spoken by l_knee \(id 14\); set the register protocol_version there to 2",
@@ -225,7 +225,7 @@ def test_settings_in_the_servos(tmp_path):
             found[name] = rig.register(name)
         return True
 
-    rig.run([GainRamp(), Hold(pose("stand"), until=look)])
+    rig.run([GainRamp(), HoldPose(pose("stand"), until=look)])
     assert found["operating_mode"] == [0] * 20
     assert found["current_limit"] == np.where(IS_LEG, 855, 430).tolist()
     assert found["bus_watchdog"] == [5] * 20

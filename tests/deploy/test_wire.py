@@ -8,7 +8,7 @@ from policies import hold_policy
 from op3.deploy.emulator import read_frames
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.limits import Limits
-from op3.deploy.phases import GainRamp, Hold, Move
+from op3.deploy.phases import GainRamp, HoldPose, Move
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.protocol import Instruction, Parser, fast_answers
 from op3.deploy.robot_state import CONTENTS
@@ -107,7 +107,7 @@ def blocked(rig):
     return rig
 
 
-ANY_POSE = Limits(overlap_ahead=1.0, overlap_commanded=1.0)
+ANY_POSE = Limits(overlap_ahead=1.0)
 """Lets a robot be commanded to where its legs would hit each other: here the joints never move."""
 
 
@@ -120,7 +120,7 @@ def far():
 def test_currents_on_the_wire_stay_within_peak_and_continuous(tmp_path):
     """Against a stop: never more than 855 counts in a leg and 430 elsewhere, and after seconds down towards 171."""
     rig = blocked(make_rig(tmp_path))
-    assert rig.run([GainRamp(), Hold(far(), duration=5.0)], limits=ANY_POSE).code == ExitCode.OK
+    assert rig.run([GainRamp(), HoldPose(far(), duration=5.0)], limits=ANY_POSE).code == ExitCode.OK
     goals = np.abs([tick["goal"] for tick in ticks_of(rig)])
     assert goals[:, IS_LEG].max() == 855
     assert goals[:, ~IS_LEG].max() == 430
@@ -133,7 +133,7 @@ def test_stiffness_comes_back_slowly_after_a_soft_phase(tmp_path):
     rig, near = blocked(make_rig(tmp_path)), pose("stand") + 0.1
 
     def phases(session):
-        return [GainRamp(1.0), Hold(near, 1.0, duration=0.5), Move(near, start=lambda: session.issued)]
+        return [GainRamp(1.0), HoldPose(near, 1.0, duration=0.5), Move(near, start=lambda: session.issued)]
 
     assert rig.run(phases).code == ExitCode.OK
     goals = np.abs([tick["goal"] for tick in ticks_of(rig)])
@@ -145,7 +145,9 @@ def test_stiffness_comes_back_slowly_after_a_soft_phase(tmp_path):
 def test_no_current_is_above_the_scale(tmp_path, scale):
     """What is carried for ever is within the share of the peak, too."""
     rig = blocked(make_rig(tmp_path))
-    assert rig.run([GainRamp(), Hold(far(), duration=1.0)], current_scale=scale, limits=ANY_POSE).code == ExitCode.OK
+    assert (
+        rig.run([GainRamp(), HoldPose(far(), duration=1.0)], current_scale=scale, limits=ANY_POSE).code == ExitCode.OK
+    )
     assert np.abs([tick["goal"] for tick in ticks_of(rig)])[:, IS_LEG].max() == int(scale * 855)
 
 
@@ -157,7 +159,7 @@ def test_a_suspended_robot_gets_half(tmp_path):
         found.append(rig.register("current_limit"))
         return len(found) > 100
 
-    assert rig.run([GainRamp(), Hold(far(), until=look)], current_scale=0.5, limits=ANY_POSE).code == ExitCode.OK
+    assert rig.run([GainRamp(), HoldPose(far(), until=look)], current_scale=0.5, limits=ANY_POSE).code == ExitCode.OK
     assert found[0] == np.where(IS_LEG, 427, 215).tolist()
     goals = np.abs([tick["goal"] for tick in ticks_of(rig)])
     assert (goals[:, IS_LEG].max(), goals[:, ~IS_LEG].max()) == (427, 215)

@@ -4,10 +4,10 @@ import pytest
 
 from op3.diagnose import Diagnosis, Settings, aliasing, split_logs
 from op3.diagnose.aliasing import ALIKE, VISIBLE
-from op3.robot import leg_suite
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.servo import effect_class
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,15 @@ import pytest
 from op3.diagnose.base import settle
 from op3.diagnose.candidates import candidates, mirror_pairs, place_priors, secants_of_place
 from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_chain
+from op3.diagnose.judge_settings import SETTINGS
 from op3.diagnose.reduction import Reduction
-from op3.diagnose.settings import SETTINGS
 from op3.diagnose.verdict import separating
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.replay.windows import WindowResiduals
-from op3.robot import leg_suite
 from op3.servo import catalogue
 from op3.servo.effect import parameter
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 
 EVERY = [True] * len(LEG_JOINTS)

@@ -7,24 +7,24 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Base, End, apart, as_usual, base_numbers, damped, gap_of, search, settle, unfitted
+from op3.diagnose.base import Baseline, End, apart, as_usual, base_numbers, damped, gap_of, search, settle, unfitted
 from op3.diagnose.coordinates import any_spread, base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.doubts import doubts, freed, unusual
 from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
-from op3.diagnose.judge import Numbers, Posterior, State
+from op3.diagnose.judge import Numbers, Posterior, Variances
+from op3.diagnose.judge_settings import Settings
 from op3.diagnose.reduction import Linear, Reduction
-from op3.diagnose.settings import Settings
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
 from op3.diagnose.verdict import Alternative, Finding, JointGap, Verdict
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.replay.windows import WindowResiduals
-from op3.robot import leg_suite
 from op3.rollout import Rollout
 from op3.servo import Estimate
 from op3.servo.effects import LoadFriction
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 
 
@@ -93,22 +93,22 @@ def test_a_number_at_its_bound_is_a_doubt_where_logs_exercise_it():
     point[at] = coordinates.high[at]
     point[[entry.parameter for entry in coordinates.entries].index("viscous_friction")] = 0.0
     columns, certain = np.ones((len(point), 1, 1, 1)), SimpleNamespace(covariance=np.zeros((len(point), len(point))))
-    base = Base(Linear(coordinates, point, (), (), np.zeros(0), columns), certain)  # type: ignore[arg-type]
+    base = Baseline(Linear(coordinates, point, (), (), np.zeros(0), columns), certain)  # type: ignore[arg-type]
     (doubt,) = doubts(base)
     assert doubt.startswith("torque_constant hit its upper bound")
     other = point.copy()
     other[at] = coordinates.low[at]
-    twice = Base(base.linear, certain, (End(coordinates, other, -3.0),))  # type: ignore[arg-type]
+    twice = Baseline(base.linear, certain, (End(coordinates, other, -3.0),))  # type: ignore[arg-type]
     assert "with other torque_constant" in doubts(twice)[1]
     prior = SimpleNamespace(covariance=np.diag(coordinates.deviation**2))
-    assert doubts(Base(base.linear, prior)) == ()  # type: ignore[arg-type]
+    assert doubts(Baseline(base.linear, prior)) == ()  # type: ignore[arg-type]
 
 
 def test_a_number_at_its_end_holds_back_no_other():
     """Of two numbers, one at its smallest value and pulled down: the other goes where it is best alone, 3 / 2."""
     numbers = Numbers(np.zeros(2), np.ones(2), least=np.array([0.0, -9.0]), most=np.array([9.0, 9.0]))
     precision, pull = np.array([[2.0, 1.9], [1.9, 2.0]]), np.array([-1.0, 3.0])
-    fit = Posterior(np.linalg.solve(precision, pull), precision, 0.0, (), State(*np.zeros((3, 1))))
+    fit = Posterior(np.linalg.solve(precision, pull), precision, 0.0, (), Variances(*np.zeros((3, 1))))
     assert damped(fit, numbers)[0] == pytest.approx([0.0, 1.5])
 
 

@@ -7,18 +7,18 @@ from scipy import stats
 from op3.diagnose import WindowResiduals
 from op3.diagnose.base import settle
 from op3.diagnose.coordinates import base_coordinates, with_chain
-from op3.diagnose.held_out import Gain, HeldOut, Score, log_density
+from op3.diagnose.held_out import Gain, HeldOut, HeldOutScore, log_density
 from op3.diagnose.reduction import Reduction
-from op3.robot import leg_suite
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 
 
 def test_a_gain_is_counted_in_standard_errors_over_runs():
     """Gains of 1, 2 and 3: 2 with an error of 1 / sqrt(3), Student's t of 3.46 with two degrees of freedom, of which a
     tail of 3.7 % is left, as of a normal behind 1.79."""
-    better, other = Score(np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 3.0]])), Score(np.zeros((3, 2)))
+    better, other = HeldOutScore(np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 3.0]])), HeldOutScore(np.zeros((3, 2)))
     gain = Gain.of(better, other)
     assert (gain.mean, gain.error, gain.runs) == (pytest.approx(2.0), pytest.approx(3**-0.5), 3)
     assert gain.z == pytest.approx(1.786, abs=0.01)

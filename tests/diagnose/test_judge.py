@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from op3.diagnose.judge import Judge, Numbers, Rows, evidence
-from op3.diagnose.settings import Settings
+from op3.diagnose.judge_settings import Settings
 
 KINDS = np.array([0, 1, 1, 1, 2, 3, 3, 3])
 JOINTS, WINDOWS, CANDIDATES, LAWS = 4, 60, 12, 8

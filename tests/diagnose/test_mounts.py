@@ -2,12 +2,12 @@
 
 import pytest
 
-from op3.assets import asset_path
+from op3.common.assets import asset_path
 from op3.diagnose import Diagnosis, LogSplit, diagnosed_mount, on_other_mounts
-from op3.robot import chirp, squat
+from op3.motions import chirp, squat
+from op3.replay import simulate_motion
 from op3.rollout import LogError, Rollout
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.features import FLOORS, PIECES
 from op3.diagnose.rates import RATES, filtered, moved, read
 from op3.diagnose.reduction import Reduction
-from op3.robot import chirp, leg_suite
+from op3.motions import chirp, leg_suite
+from op3.replay import simulate_motion
+from op3.replay.planned import planned_suite
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.servo.effects import VelocityFilter
 from op3.sim import load_model
-from op3.tasks import simulate_motion
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 from tests.servo.test_effect_laws import law_of
 

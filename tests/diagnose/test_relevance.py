@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from op3.diagnose.judge_settings import Settings
 from op3.diagnose.relevance import relevance
-from op3.diagnose.settings import Settings
 
 
 def does(torque: float, current: float, unread: bool = False, relative: float | None = None):

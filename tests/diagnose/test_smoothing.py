@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from op3.motions import leg_suite
 from op3.replay.smoothing import VELOCITY_LAG, VELOCITY_NOISE, SmoothLog, smooth, smooth_all, velocity_sensing
 from op3.replay.supply import open_voltages
-from op3.robot import leg_suite
 from op3.robot.register_units import POSITION_UNIT, VELOCITY_UNIT, VOLTAGE_UNIT
 from op3.rollout import Rollout
-from op3.stand_in import World, draw_case, record_case
+from op3.stand_in import HiddenWorld, draw_case, record_case
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
-    return World.random(4).replace(velocity_lag=0.004, bus_resistance=0.3, bus_voltage=11.6)
+def world() -> HiddenWorld:
+    return HiddenWorld.random(4).replace(velocity_lag=0.004, bus_resistance=0.3, bus_voltage=11.6)
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from op3.diagnose import Diagnosis, Settings, split_logs
-from op3.robot import leg_suite
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.robot.register_units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
 from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import CableSpring
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 
 UNITS = {"position": POSITION_UNIT, "velocity": VELOCITY_UNIT, "current": CURRENT_UNIT}
 

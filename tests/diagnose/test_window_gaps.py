@@ -7,10 +7,10 @@ from op3.diagnose.base import settle
 from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.window_gaps import WindowGaps, plain_gaps, window_gaps
+from op3.motions import leg_suite
+from op3.replay.planned import planned_suite
 from op3.replay.windows import WindowResiduals
-from op3.robot import leg_suite
 from op3.sim import load_model
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 
 

@@ -8,14 +8,15 @@ import pytest
 
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import with_chain
-from op3.robot import chirp, leg_suite, load_robot, multisine, squat
+from op3.motions import chirp, leg_suite, multisine, squat
+from op3.replay import ModelRobot, simulate_motion
+from op3.replay.planned import planned_suite
+from op3.robot import load_robot
 from op3.robot.register_units import CURRENT_UNIT
 from op3.rollout import LogError, Rollout
 from op3.servo import Estimate, RobotModel, effect_class
 from op3.sim import load_model, servo_model
 from op3.sim.held_base import PendulumBase
-from op3.tasks import ModelRobot, simulate_motion
-from op3.tasks.planned import planned_suite
 from tests.op3_table import LEG_JOINTS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))

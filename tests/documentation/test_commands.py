@@ -16,7 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from op3.command_line import main
-from op3.private import CLAIMED
+from op3.common.private import CLAIMED
 
 MAKES = re.compile(r"(?:^|[._])(dir|out|record|frames|storage)$")
 """Settings that name what a command writes."""

@@ -15,11 +15,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from op3.command_line import main
 from op3.envs import BatchedEnv, record_episodes
+from op3.motions import squat
 from op3.policy import PolicyBundle
-from op3.robot import squat
+from op3.replay import simulate_motion
 from op3.rollout import Rollout
 from op3.sim import load_model, save_model
-from op3.tasks import simulate_motion
 from op3.tasks.task import find_task
 
 SEARCH = "hydra.sweeper.n_trials=4 hydra.sweeper.population=4 wandb=disabled"

@@ -8,10 +8,11 @@ import pytest
 import torch
 from documented import PAGES, ROOT
 
-from op3.robot import load_robot, squat
+from op3.motions import squat
+from op3.replay import simulate_motion
+from op3.robot import load_robot
 from op3.servo import Servos
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 
 BLOCK = re.compile(r"(<!-- not executed: [^>]+-->\n+)?^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 

@@ -6,7 +6,7 @@ import torch
 
 from op3.envs import make_env
 from op3.envs.gait_validity import gait_validity, judged_episodes
-from op3.envs.step_traces import Watch
+from op3.envs.step_traces import StepWatch
 from op3.tasks import find_task
 from tests.envs.scripted import still
 from tests.op3_table import CONTROLLED_JOINTS
@@ -53,7 +53,7 @@ def test_a_scripted_drift_slip_and_touch():
 def test_penetration_is_that_of_the_shapes():
     """Robots that press their feet together: contact and depth of each step are those of `mj_geomDistance`."""
     env = make_env("walk", num_envs=2, seed=1, num_threads=1)
-    state, watch, distances = env.reset(), Watch(env), PartDistances()
+    state, watch, distances = env.reset(), StepWatch(env), PartDistances()
     action = torch.from_numpy(env.action_map.stand()).float().repeat(2, 1)
     for joint, inwards in (("l_hip_roll", 1.0), ("r_hip_roll", -1.0)):
         action[:, CONTROLLED_JOINTS.index(joint)] = inwards

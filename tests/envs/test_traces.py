@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from op3.envs import make_env
-from op3.envs.step_traces import Watch, touchdowns
+from op3.envs.step_traces import StepWatch, touchdowns
 from op3.robot.register_units import GRAVITY
 
 
@@ -22,7 +22,7 @@ def test_touchdowns_of_a_scripted_contact():
 def test_a_standing_robot():
     """Held at the stand pose the feet carry the robot's weight, the trunk is at rest, and soles are on the floor."""
     env = make_env("walk", num_envs=2, num_threads=1)
-    watch, state = Watch(env), env.reset()
+    watch, state = StepWatch(env), env.reset()
     with watch.watching():
         for _ in range(25):
             state["action"] = torch.from_numpy(env.action_map.stand()).float().expand(2, -1)

@@ -2,9 +2,9 @@
 
 import pytest
 
+from op3.apps.command_help import COMMANDS
 from op3.apps.fields import Common
 from op3.apps.job import composed, configured, override, overrides_of
-from op3.command_help import COMMANDS
 
 
 @pytest.mark.parametrize("app", sorted(set(COMMANDS.values())))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import squat
+from op3.motions import squat
+from op3.replay import simulate_motion
 from op3.rollout import Rollout
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 from tests.scripts import run_script
 
 LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ank_pitch", "ank_roll")

@@ -7,10 +7,10 @@ from subprocess import CompletedProcess
 
 import pytest
 
+from op3.motions import squat
+from op3.replay import simulate_motion
 from op3.report import read_result
-from op3.robot import squat
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 from tests.scripts import run_script
 
 REPOSITORY = Path(__file__).resolve().parents[2]

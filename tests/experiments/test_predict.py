@@ -6,11 +6,12 @@ from subprocess import CompletedProcess
 import numpy as np
 import pytest
 
+from op3.motions import hold, squat
+from op3.replay import simulate_motion
 from op3.report import read_result
-from op3.robot import hold, pose, squat
+from op3.robot import pose
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model, save_model
-from op3.tasks import simulate_motion
 from tests.scripts import run_script
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -7,11 +7,11 @@ from subprocess import CompletedProcess
 import pytest
 
 from op3.envs import BatchedEnv, record_episodes
+from op3.motions import squat
+from op3.replay import simulate_motion
 from op3.report import read_result
-from op3.robot import squat
 from op3.rollout import Rollout
 from op3.sim import load_model, save_model
-from op3.tasks import simulate_motion
 from op3.tasks.task import find_task
 from tests.envs.holding import holding_bundle
 from tests.scripts import run_script

@@ -5,17 +5,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from op3.identify.design import Candidate, choose, information, widths
-from op3.robot import chirp, hold, pose, triangle
+from op3.identify.design import PlannedRecording, choose, information, widths
+from op3.motions import chirp, hold, triangle
+from op3.robot import pose
 from op3.sim import load_model
 from tests.op3_table import CONTROLLED_JOINTS
 
 NAMES = ("friction", "gear", "mass")
 
 
-def candidate(name: str, mount: str, duration: float, *diagonal: float) -> Candidate:
+def candidate(name: str, mount: str, duration: float, *diagonal: float) -> PlannedRecording:
     """A motion that tells each parameter alone."""
-    return Candidate(name, mount, duration, np.diag(diagonal))
+    return PlannedRecording(name, mount, duration, np.diag(diagonal))
 
 
 FRICTION = candidate("slow", "floor", 10.0, 1e4, 0.0, 0.0)
@@ -46,7 +47,7 @@ def test_a_trade_off_is_broken_by_the_motion_that_breaks_it():
     """Two parameters seen only as a sum: what tells them apart is worth more than more of the same."""
     together = np.zeros((3, 3))
     together[:2, :2] = 1e4
-    same = Candidate("same", "floor", 10.0, together)
+    same = PlannedRecording("same", "floor", 10.0, together)
     apart = candidate("apart", "floor", 10.0, 1e3, 0.0, 0.0)
     steps = choose([same, apart], NAMES, ["gear"], seconds=31.0, repeats=2)
     assert [step.name for step in steps][:2] in (["same", "apart"], ["apart", "same"])

@@ -6,11 +6,11 @@ import pytest
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.search_space import parse_search_space
 from op3.identify.study import run_study
-from op3.robot import squat
+from op3.motions import squat
+from op3.replay import simulate_motion
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 from tests.op3_table import CONTROLLED_JOINTS
 
 TRUTH = {"torque_constant": 0.0072, "backward_efficiency": 0.7}

@@ -10,7 +10,7 @@ from scipy.stats import wasserstein_distance
 
 from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, residual_image
 from op3.identify.search_space import parse_search_space
-from op3.identify.study import Outcome, run_study
+from op3.identify.study import TrialOutcome, run_study
 
 SIZE = 8
 SPACE = parse_search_space({f"p{i}": "interval(0.0, 1.0)" for i in range(SIZE)})
@@ -36,7 +36,7 @@ def returns(point: np.ndarray) -> np.ndarray:
 ACTUAL = returns(TRUTH)
 
 
-def evaluate(population: list[dict]) -> list[Outcome]:
+def evaluate(population: list[dict]) -> list[TrialOutcome]:
     """Both objectives; beyond twice the loss of the nominal trial no episodes."""
     outcomes = []
     for trial in population:
@@ -44,11 +44,11 @@ def evaluate(population: list[dict]) -> list[Outcome]:
         residual = REST + MATRIX @ (point - 0.5)
         loss, image = float(residual @ residual), residual_image(torch.from_numpy(residual)[None])[0].tolist()
         if loss > 2.0:
-            outcomes.append(Outcome((loss, 1000.0), {IMAGE: image}))
+            outcomes.append(TrialOutcome((loss, 1000.0), {IMAGE: image}))
             continue
         own = returns(point)
         distance = float(wasserstein_distance(own, ACTUAL))
-        outcomes.append(Outcome((loss, distance), {IMAGE: image, MISFIT: quantile_misfit(own, ACTUAL).tolist()}))
+        outcomes.append(TrialOutcome((loss, distance), {IMAGE: image, MISFIT: quantile_misfit(own, ACTUAL).tolist()}))
     return outcomes
 
 

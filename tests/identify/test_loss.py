@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from op3.identify.loss import FAILED_RESIDUAL, TrajectoryLoss, position_error
+from op3.replay import Prediction
 from op3.rollout import LogError, Metadata, Rollout
-from op3.tasks import Prediction
 
 JOINTS = ("a", "b")
 

@@ -7,14 +7,14 @@ import pytest
 import torch
 from scipy import stats
 
+from op3.common.sample_intervals import bootstrap_interval
 from op3.identify.loss import TrajectoryLoss, position_error
 from op3.identify.prediction_score import predict_logs, score_predictions
-from op3.robot import squat
+from op3.motions import squat
+from op3.replay import Replay, simulate_motion
 from op3.rollout import Metadata, Rollout
-from op3.sample_intervals import bootstrap_interval
 from op3.servo import Estimate
 from op3.sim import load_model
-from op3.tasks import Replay, simulate_motion
 from tests.op3_table import CONTROLLED_JOINTS
 
 

@@ -15,7 +15,7 @@ from optuna.trial import TrialState
 from op3.identify.results import summarize
 from op3.identify.search_space import StudyError
 from op3.identify.storage import open_storage
-from op3.identify.study import Outcome, run_study
+from op3.identify.study import TrialOutcome, run_study
 
 SPACE = {"a.x": FloatDistribution(0, 1), "a.y": FloatDistribution(0.1, 10, log=True)}
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -123,7 +123,7 @@ def test_attributes_of_an_outcome_are_stored_as_plain_data(tmp_path):
 
     def evaluate(population):
         extra = {"loss": np.float64(2.0), "per_joint": np.array([1.0, 2.0]), "parts": {"q": 1}}
-        return [Outcome((1.0,), extra) for _ in population]
+        return [TrialOutcome((1.0,), extra) for _ in population]
 
     quick_study(evaluate, storage=path)
     stored = optuna.load_study(study_name="study", storage=open_storage(path)).trials[5].user_attrs
@@ -224,7 +224,7 @@ def test_two_workers_of_one_number_are_told(tmp_path):
         ({"evaluate": lambda population: [0.0]}, "1 results for a population of 4"),
         ({"evaluate": lambda population: [(0.0, 1.0)] * len(population)}, "2 values"),
         ({"evaluate": lambda population: ["good"] * len(population)}, "'good'"),
-        ({"evaluate": lambda population: [Outcome((0.0,), {"f": print})] * 4}, "'f'"),
+        ({"evaluate": lambda population: [TrialOutcome((0.0,), {"f": print})] * 4}, "'f'"),
     ],
 )
 def test_wrong_settings_get_a_sentence(settings, reason):

@@ -5,9 +5,10 @@ import pytest
 import torch
 from report_logs import PageReader, bench_log, squat_log
 
-from op3.identify.design import Candidate, Step
+from op3.identify.design import PlannedRecording, Step
 from op3.identify.identifiability import Identifiability
-from op3.identify.identification import Fit, Score
+from op3.identify.identification import Fit, FitScore
+from op3.replay import Prediction
 from op3.report import RunFolder, read_result
 from op3.report.design_page import report_design
 from op3.report.evaluation_page import report_evaluation
@@ -15,7 +16,6 @@ from op3.report.identification_page import report_identification
 from op3.report.training_page import report_training
 from op3.robot import load_robot
 from op3.sim import load_model
-from op3.tasks import Prediction
 from op3.tasks.behaviour import GaitProfile
 
 NAMES = ("torque_constant", "backward_efficiency")
@@ -27,7 +27,7 @@ def read(folder) -> str:
     return reader.text
 
 
-def score(logs, factor: float) -> Score:
+def score(logs, factor: float) -> FitScore:
     """Predictions that are the measurements times a factor."""
     predictions = [
         Prediction(
@@ -39,7 +39,7 @@ def score(logs, factor: float) -> Score:
         for log in logs
     ]
     terms = {"joint/position": 0.2 * factor}
-    return Score(0.3 * factor, 0.4 * factor, terms, 11 * factor, [11 * factor] * len(logs), predictions)
+    return FitScore(0.3 * factor, 0.4 * factor, terms, 11 * factor, [11 * factor] * len(logs), predictions)
 
 
 def fit(label: str, logs, heldout, factor: float) -> Fit:
@@ -111,7 +111,7 @@ def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
 def test_a_plan_says_what_to_record_and_what_it_would_leave_open(tmp_path):
     """The widest wanted interval is named; what cannot be played is listed with the reason."""
     steps = [Step("squat", "floor", 5.0, {"armature": 0.4, "viscous_friction": 0.2})]
-    found = [Candidate("squat", "floor", 5.0, np.diag([4.0, 9.0]))]
+    found = [PlannedRecording("squat", "floor", 5.0, np.diag([4.0, 9.0]))]
     report_design(steps, found, ["armature", "viscous_friction"], {"sway": "It falls."}, RunFolder(tmp_path, {}), 1.0)
     text = read(tmp_path)
     assert "Record squat: 5 s of robot time." in text

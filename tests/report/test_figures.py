@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_logs import bench_log, squat_log
 
+from op3.replay import Prediction
 from op3.report.figures import errors_figure, history_figure, ranges_figure
 from op3.report.panels import thin
 from op3.report.trace_figures import body_figure, runs_figure, traces_figure
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import DirectionalEfficiency, Motor
-from op3.tasks import Prediction
 
 JOINT = [("joint", "position"), ("joint", "velocity"), ("joint", "current")]
 

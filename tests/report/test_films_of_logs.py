@@ -4,10 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from op3.motions import squat
+from op3.replay import simulate_motion
 from op3.report.video import states_of_log
-from op3.robot import build_scene, squat
+from op3.scenes import build_scene
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 
 
 @pytest.fixture(scope="module")

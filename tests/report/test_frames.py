@@ -8,7 +8,8 @@ import pytest
 
 from op3.report.frames import SIZE, RenderError, backends, draw_frames
 from op3.report.video import film
-from op3.robot import build_scene, pose
+from op3.robot import pose
+from op3.scenes import build_scene
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from op3.motions import squat
+from op3.replay import simulate_motion
 from op3.report import live
 from op3.report.tracks import Tracks, scene_of
-from op3.robot import squat
 from op3.rollout import Recorder, Rollout
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 
 ROOT = Path(__file__).resolve().parents[2]
 

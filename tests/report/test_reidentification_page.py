@@ -4,18 +4,18 @@ import optuna
 import pytest
 from optuna.distributions import FloatDistribution
 
-from op3.identify.reidentified import Candidate, Reidentified
 from op3.report import RunFolder, read_result
 from op3.report.comparison_page import read_runs, write_comparison
 from op3.report.reidentification_page import report_reidentification
 from op3.sim import load_model
+from op3.transfer.reidentified import ParetoPoint, Reidentified
 
 NAME = "torque_constant"
 SPACE = {f"parameters.{NAME}": FloatDistribution(0.003, 0.009)}
 
 
 def candidate(value, excitation, distance, returns=(200.0, 210.0)):
-    return Candidate({NAME: value}, excitation, distance, returns)
+    return ParetoPoint({NAME: value}, excitation, distance, returns)
 
 
 def report(folder, value=0.006, fresh=20.0, distance=10.0):

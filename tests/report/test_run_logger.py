@@ -6,8 +6,8 @@ from pathlib import Path
 import plotly.graph_objects as go
 import pytest
 
+from op3.common.wandb_settings import WandbSettings
 from op3.report.run_logger import RunLogger, artifact_name, sweep_group
-from op3.wandb_settings import WandbSettings
 
 
 def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, capfd):

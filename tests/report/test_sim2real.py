@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from op3.report import RunFolder, read_result
-from op3.report.transfer_page import Learned, Transfer, report_transfers
+from op3.report.transfer_page import report_transfers
+from op3.transfer.attempt import Learned, Transfer
 
 
 def transfer(expected, actual, upright=(True,), walked=None):

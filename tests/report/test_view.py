@@ -8,15 +8,16 @@ import pytest
 from omegaconf import OmegaConf
 from report_logs import squat_log
 
+from op3.motions import squat
 from op3.policy.card import Card
+from op3.replay import simulate_motion
 from op3.report.frames import RenderError, draw_frames
 from op3.report.tracks import Tracks, scene_of
 from op3.report.video import write_film
-from op3.report.viewer import RATE, Player, Strip, lines_of
-from op3.robot import load_robot, squat
+from op3.report.viewer import RATE, Playback, Strip, lines_of
+from op3.robot import load_robot
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
-from op3.tasks import simulate_motion
 from tests.envs.holding import holding_bundle
 
 
@@ -95,7 +96,7 @@ def test_a_film_has_all_pictures(tmp_path):
 
 def test_keys_play_scrub_and_change_the_speed():
     """Space pauses, right goes on half a second, up doubles the speed, a comma steps back; after 2 s it begins anew."""
-    player = Player(2.0)
+    player = Playback(2.0)
     player.key(32)
     player.advance(1.0)
     assert player.seconds == 0.0

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from op3 import assets
-from op3.assets import asset_path
+from op3.common import assets
+from op3.common.assets import asset_path
 
 
 def test_checkout():

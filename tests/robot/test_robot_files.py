@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from robots import ROBOTS, write_robot
 
-from op3.assets import robot_files
-from op3.robot import RobotEntity, build_scene, load_robot, load_servo
+from op3.common.assets import robot_files
+from op3.robot import RobotEntity, load_robot, load_servo
 from op3.robot.servo_make import servo_files
+from op3.scenes import build_scene
 
 
 def compiled(robot, **parameters):

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from op3.deploy.emulator import Physics, SimPhysics, StandInPhysics
-from op3.robot import build_scene, load_robot, pose
+from op3.robot import load_robot, pose
+from op3.scenes import build_scene
 from op3.sim import load_model
-from op3.stand_in import World
+from op3.stand_in import HiddenWorld
 from tests.op3_table import JOINTS, OP3
 from tests.self_collision import PartDistances
 
@@ -114,7 +115,7 @@ def test_legs_pressed_with_stall_torque_stay_outside_each_other(distances):
     "make",
     [
         pytest.param(lambda: SimPhysics(load_model("paper"), "floor"), id="model"),
-        pytest.param(lambda: StandInPhysics(World(), "floor"), id="stand-in"),
+        pytest.param(lambda: StandInPhysics(HiddenWorld(), "floor"), id="stand-in"),
     ],
 )
 def test_legs_of_an_emulated_robot_stop_each_other(distances, make: Callable[[], Physics]):

@@ -3,7 +3,6 @@
 import mujoco
 import pytest
 
-from op3.robot import SCENES, build_scene
 from op3.robot.register_units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
@@ -14,6 +13,7 @@ from op3.robot.register_units import (
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
 )
+from op3.scenes import SCENES, build_scene
 
 
 def test_units_are_those_of_the_manual():

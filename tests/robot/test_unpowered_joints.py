@@ -8,15 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from op3.motions import multisine
+from op3.motions.motion_checks import motion_faults
+from op3.replay import simulate_motion
 from op3.report.robot_table import robot_table
-from op3.robot import load_robot, multisine
+from op3.robot import load_robot
 from op3.robot.data_file import DataFileError
-from op3.robot.motion_checks import motion_faults
 from op3.robot.robot import Robot
-from op3.robot.scenes import build_scene
+from op3.scenes.scene import build_scene
 from op3.sim import model_for
 from op3.stand_in.bodies import _Freedoms, limb_model
-from op3.tasks import simulate_motion
 
 LINK = '<inertial pos="0 0 0.05" mass="{mass}" diaginertia="1e-4 1e-4 1e-4"/>'
 HEAD = "format: op3-robot/1\nname: hand\nmodel: hand.xml\nbase: base\nfixed: true\nservo: xm430-w350\njoints:\n"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from op3.replay import Setup
 from op3.servo import RobotModel, catalogue, parameter
 from op3.servo.effects import (
     Coulomb,
@@ -16,7 +17,6 @@ from op3.servo.effects import (
     Viscous,
 )
 from op3.sim import BatchSimulation, PendulumSimulation
-from op3.tasks import Setup
 from tests.secants import secant_values
 
 NEUTRAL = [n for n, e in catalogue().items() if e.secants and n != "position_servo"]

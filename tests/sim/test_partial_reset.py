@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from op3.replay import Setup
 from op3.robot import pose
 from op3.servo import RobotModel, catalogue
 from op3.sim import BatchSimulation, load_model
-from op3.tasks import Setup
 
 COMMANDS = {"p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
 

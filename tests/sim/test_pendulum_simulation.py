@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import build_bench
+from op3.scenes import build_bench
 from op3.servo import RobotModel
 from op3.servo.effects import (
     AntagonisticFriction,

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from op3.replay import Setup
 from op3.servo import Effect, RobotModel
 from op3.servo.effects import (
     Backlash,
@@ -25,7 +26,6 @@ from op3.servo.effects import (
     PositionServo,
 )
 from op3.sim import BatchSimulation, attach_servos
-from op3.tasks import Setup
 
 RATIO = 0.1
 """Damping of contacts, more than that of gears: without it 2 s of rattling are a matter of chance."""

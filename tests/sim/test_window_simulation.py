@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from op3.replay.setups import Setup
 from op3.robot import pose
 from op3.servo import RobotModel, catalogue
 from op3.servo.effects import CurrentPD, Motor
@@ -22,7 +23,6 @@ from op3.sim import (
     trajectory_dynamics,
 )
 from op3.sim.window_steps import coupled, solve_dry, solve_linear
-from op3.tasks.setups import Setup
 from tests.op3_table import JOINTS
 from tests.secants import secant_values
 

@@ -5,11 +5,13 @@ import numpy as np
 import pinocchio
 import pytest
 
-from op3.robot import build_bench, build_scene, pose, robot_suite
-from op3.stand_in import StandIn, World
+from op3.motions import robot_suite
+from op3.robot import pose
+from op3.scenes import build_bench, build_scene
+from op3.stand_in import HiddenWorld, StandIn
 from op3.stand_in.bodies import Floor, limb_model
 
-FREE = World(
+FREE = HiddenWorld(
     torque_constant=1e-6, coulomb_friction=0.0, viscous_friction=0.0, static_friction_excess=0.0, bristle_damping=0.0,
     bristle_stiffness=1e-6, backward_efficiency=1.0, torque_noise=0.0, base_mass_offset=0.0, base_com_offset_x=0.0,
     base_com_offset_z=0.0, armature=0.004, timestep=1e-4,
@@ -74,7 +76,7 @@ def test_a_passive_swing_keeps_its_energy():
 
 def test_driven_limbs_agree_with_mujoco():
     """The same servos move the limbs alike by both libraries: a multisine to two encoder counts, most rows to one."""
-    quiet = World(torque_noise=0.0, friction_drift=0.0, current_noise=0.0, latency_jitter=0.0, placement=0.0)
+    quiet = HiddenWorld(torque_noise=0.0, friction_drift=0.0, current_noise=0.0, latency_jitter=0.0, placement=0.0)
     run = robot_suite(3, duration=1.0)[2]
     logs = []
     for by_mujoco in (False, True):
@@ -93,7 +95,7 @@ def test_a_soft_stand_sways():
     """What kicks makes the gyro of a soft stand feel it, at about its frequency, and not of a stiff one."""
     swings = []
     for frequency in (0.0, 12.0):
-        robot = StandIn(World(gyro_noise=0.0, gyro_bias=0.0, mount_frequency=frequency), "stand")
+        robot = StandIn(HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, mount_frequency=frequency), "stand")
         robot.reset(pose("stand"))
         rates = []
         for tick in range(125):
@@ -116,7 +118,7 @@ def test_no_balls():
 
 def test_end_stops_hold():
     """A pendulum driven against the end of its range stays within a few degrees of it."""
-    robot = StandIn(World(), build_bench())
+    robot = StandIn(HiddenWorld(), build_bench())
     low, high = robot.servos.servos["low"][0], robot.servos.servos["high"][0]
     if not np.isfinite(high):
         robot.servos.servos["low"], robot.servos.servos["high"] = -0.5, 0.5

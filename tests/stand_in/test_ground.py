@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from op3.robot import Tilts, WeightSchedule, build_scene, draw_tiles, pose
-from op3.stand_in import StandIn, World
+from op3.robot import pose
+from op3.scenes import Tilts, WeightSchedule, build_scene, draw_tiles
+from op3.stand_in import HiddenWorld, StandIn
 
 
 def test_board_follows_its_motion():
     """The board under a stand-in is where its motion says, within 0.1 mrad, and tilts what stands on it."""
-    robot = StandIn(World(), "board")
+    robot = StandIn(HiddenWorld(), "board")
     motion = Tilts.draw(0)
     robot.set_ground(motion)
     robot.reset(pose("stand"))
@@ -24,7 +25,7 @@ def test_board_follows_its_motion():
 
 def test_time_counts_from_the_call():
     """A board that is set in motion later moves later."""
-    robot, motion = StandIn(World(), "board"), Tilts.draw(0)
+    robot, motion = StandIn(HiddenWorld(), "board"), Tilts.draw(0)
     robot.reset(pose("stand"))
     robot.advance(0.3)
     robot.set_ground(motion)
@@ -35,7 +36,7 @@ def test_time_counts_from_the_call():
 
 def test_reset_puts_the_robot_on_the_board():
     """A robot on the board of the weight starts tilted with it."""
-    robot = StandIn(World(), "board_weight")
+    robot = StandIn(HiddenWorld(), "board_weight")
     robot.set_ground(WeightSchedule.draw(0))
     robot.reset(pose("stand"))
     assert robot.read_sensors().orientation[1] == pytest.approx(np.deg2rad(6.0), abs=2e-3)
@@ -44,7 +45,7 @@ def test_reset_puts_the_robot_on_the_board():
 def test_hidden_friction_is_that_of_all_ground():
     """Bricks, tiles and boards have the friction of the world, as the floor has."""
     for name in ("board", "bricks_c", "terrain"):
-        model = StandIn(World(foot_friction=0.66), name)._model
+        model = StandIn(HiddenWorld(foot_friction=0.66), name)._model
         ground = [model.geom(geom).id for geom in build_scene(name).ground]
         assert (model.geom_friction[ground, 0] == 0.66).all()
         assert len(ground) > 1
@@ -52,7 +53,7 @@ def test_hidden_friction_is_that_of_all_ground():
 
 def test_tiles_are_placed():
     """The terrain of a seed has that seed's heights."""
-    robot, heights = StandIn(World(), "terrain"), draw_tiles(4)
+    robot, heights = StandIn(HiddenWorld(), "terrain"), draw_tiles(4)
     robot.set_ground(tiles=heights)
     model = robot._model
     tops = [model.geom_pos[i, 2] + model.geom_size[i, 2] for i in range(model.ngeom) if "tile" in model.geom(i).name]
@@ -62,4 +63,4 @@ def test_tiles_are_placed():
 def test_wrong_ground():
     """A board's motion is refused where there is no board."""
     with pytest.raises(ValueError, match="moves the scene 'board'"):
-        StandIn(World(), "floor").set_ground(Tilts.draw(0))
+        StandIn(HiddenWorld(), "floor").set_ground(Tilts.draw(0))

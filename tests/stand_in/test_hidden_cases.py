@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import robot_suite
+from op3.motions import robot_suite
 from op3.rollout import Rollout, read_logs
 from op3.stand_in import (
     CATALOGUE,
@@ -15,7 +15,7 @@ from op3.stand_in import (
     OUTSIDERS,
     SEVERITIES,
     Hidden,
-    World,
+    HiddenWorld,
     draw_case,
     make_case,
     open_answers,
@@ -26,7 +26,7 @@ from op3.stand_in.cases import ALIAS_PAIRS, BASES, Case, answer_bytes, write_ans
 from op3.stand_in.suites import SETTINGS, Setting
 from tests.op3_table import JOINTS
 
-QUIET = World(
+QUIET = HiddenWorld(
     joint_spread=0.0, friction_drift=0.0, torque_noise=0.0, current_offset=0.0, current_noise=0.0, latency_jitter=0.0,
     placement=0.0,
 )  # fmt: skip
@@ -40,7 +40,7 @@ def with_suite(monkeypatch, robot: str, runs) -> None:
     monkeypatch.setitem(SETTINGS, robot, Setting(setting.scene, suite, suite, 0.4, setting.metadata))
 
 
-def record(*hidden: Hidden, world: World = QUIET, robot: str = "op3") -> list[Rollout]:
+def record(*hidden: Hidden, world: HiddenWorld = QUIET, robot: str = "op3") -> list[Rollout]:
     case = dataclasses.replace(draw_case(3, "null", robot=robot), world=world, hidden=hidden)
     return list(record_case(case))
 
@@ -161,7 +161,7 @@ def test_every_setting_is_recorded():
 @pytest.fixture
 def short(monkeypatch):
     """Of the leg: steps, holds, and a warm multisine, most of a second each."""
-    from op3.robot import leg_suite
+    from op3.motions import leg_suite
 
     with_suite(monkeypatch, "leg", [leg_suite(3, duration=0.8)[i] for i in (7, 10, 22)])
 

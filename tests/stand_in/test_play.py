@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.robot import Motion, build_bench, hold, pose, squat
-from op3.robot.motions import sample
+from op3.motions import Motion, hold, squat
+from op3.motions.motion import sample
+from op3.robot import pose
 from op3.rollout import Rollout
-from op3.stand_in import StandIn, World
-from op3.stand_in.play import Push, play
+from op3.scenes import build_bench
+from op3.stand_in import HiddenWorld, StandIn
+from op3.stand_in.play import TrunkPush, play
 from tests.op3_table import CONTROLLED_JOINTS, indices
 
 LEGS = indices(CONTROLLED_JOINTS)
@@ -20,7 +22,7 @@ SHORT = squat(frequency=2.0, knee_high=1.2, duration=0.5)
 @pytest.fixture(scope="module")
 def squats():
     """The same squat twice on one robot, and the time the first took [s]."""
-    robot = StandIn(World(), seed=5)
+    robot = StandIn(HiddenWorld(), seed=5)
     begin = time.process_time()
     first = robot.play(squat(), recording="squat-0")
     duration = time.process_time() - begin
@@ -79,7 +81,7 @@ def test_faster_than_real_time(squats):
 
 def test_equal_seeds_give_equal_bytes():
     """Two robots of one world and one seed record the same bytes, recording after recording."""
-    a, b = StandIn(World(), seed=4), StandIn(World(), seed=4)
+    a, b = StandIn(HiddenWorld(), seed=4), StandIn(HiddenWorld(), seed=4)
     for _ in range(2):
         first, second = a.play(SHORT, settle=0.2), b.play(SHORT, settle=0.2)
         for key in first.channels:
@@ -89,12 +91,12 @@ def test_equal_seeds_give_equal_bytes():
 @pytest.mark.parametrize("change", ["seed", "world", "repeat"])
 def test_another_seed_world_or_repeat_differs(change):
     """Noise differs with the seed and the repeat, the robot with the world."""
-    robot = StandIn(World(), seed=4)
+    robot = StandIn(HiddenWorld(), seed=4)
     log = robot.play(SHORT, settle=0.2)
     if change == "repeat":
         other = robot.play(SHORT, settle=0.2)
     else:
-        world = World.random(1) if change == "world" else World()
+        world = HiddenWorld.random(1) if change == "world" else HiddenWorld()
         other = StandIn(world, seed=5 if change == "seed" else 4).play(SHORT, settle=0.2)
     for key in ("joint/position", "joint/current", "imu/angular_velocity"):
         assert (log.array(key) != other.array(key)).any()
@@ -102,7 +104,7 @@ def test_another_seed_world_or_repeat_differs(change):
 
 def test_metadata_holds_no_truth():
     """Nothing in the metadata is a number of the world, nor names it; the identity and the seed are there."""
-    world = World.random(11)
+    world = HiddenWorld.random(11)
     log = StandIn(world, "stand", seed=3).play(SHORT, settle=0.1, recording="squat-0")
     metadata = yaml.safe_load(log.metadata.to_yaml())
     assert metadata["extra"] == {"world": world.identity}
@@ -116,12 +118,14 @@ def test_metadata_holds_no_truth():
         *("seed", "fallen", "complete", "extra", "robot_file"),
     }
     # The nominal battery says nothing about the real one.
-    assert metadata["battery"] == StandIn(World(bus_voltage=12.6), "stand").play(SHORT, settle=0.1).metadata.battery
+    assert (
+        metadata["battery"] == StandIn(HiddenWorld(bus_voltage=12.6), "stand").play(SHORT, settle=0.1).metadata.battery
+    )
 
 
 def test_saved_and_loaded(tmp_path):
     """A recording survives the disk."""
-    log = StandIn(World(), "stand").play(SHORT, settle=0.1)
+    log = StandIn(HiddenWorld(), "stand").play(SHORT, settle=0.1)
     loaded = Rollout.load(log.save(tmp_path / "log"))
     assert loaded.metadata == log.metadata
     assert loaded.array("joint/position").tobytes() == log.array("joint/position").tobytes()
@@ -130,7 +134,7 @@ def test_saved_and_loaded(tmp_path):
 def test_a_fall_is_written_down():
     """A robot without gains collapses, and the metadata says so."""
     straight = Motion(np.arange(250) / 125, np.tile(pose("zero"), (250, 1)), name="collapse")
-    log = StandIn(World(foot_friction=0.7)).play(straight, p_gain=0.0, d_gain=0.0, settle=0.0)
+    log = StandIn(HiddenWorld(foot_friction=0.7)).play(straight, p_gain=0.0, d_gain=0.0, settle=0.0)
     assert log.metadata.fallen is True
 
 
@@ -138,8 +142,8 @@ def test_low_gains_sag_more():
     """A quarter of the gain in one knee, asked per joint, lets that knee sink further."""
     gains = np.full(20, 6.0)
     gains[indices(["l_knee"])] = 1.5
-    soft = StandIn(World(), "stand").play(hold(pose("stand"), 0.2), p_gain=gains, settle=0.5)
-    stiff = StandIn(World(), "stand").play(hold(pose("stand"), 0.2), settle=0.5)
+    soft = StandIn(HiddenWorld(), "stand").play(hold(pose("stand"), 0.2), p_gain=gains, settle=0.5)
+    stiff = StandIn(HiddenWorld(), "stand").play(hold(pose("stand"), 0.2), settle=0.5)
     error = [np.abs(log.column("l_knee.position") - log.column("l_knee.target")).max() for log in (soft, stiff)]
     assert error[0] > 1.5 * error[1]
     assert (soft.column("l_knee.p_gain") == 1.5).all()
@@ -149,7 +153,7 @@ def test_gains_by_row():
     """Gains may change from row to row."""
     motion = hold(pose("stand"), 0.08)
     gains = np.linspace(1, 6, 10)[:, None] * np.ones(20)
-    log = StandIn(World(), "stand").play(motion, p_gain=gains, settle=0.1)
+    log = StandIn(HiddenWorld(), "stand").play(motion, p_gain=gains, settle=0.1)
     assert log.array("command/p_gain").tolist() == gains.tolist()
 
 
@@ -174,19 +178,19 @@ def test_slow_and_partial_motions():
 def test_bad_arguments(arguments, message):
     """They are refused before anything moves."""
     with pytest.raises(ValueError, match=message):
-        StandIn(World(), "stand").play(SHORT, **arguments)
+        StandIn(HiddenWorld(), "stand").play(SHORT, **arguments)
 
 
 def test_targets_beyond_the_soft_limits_are_refused():
     """No robot is told to go where software must keep it from; the message names joint, angle and limit."""
     with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
-        StandIn(World(), "stand").play(Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",)))
+        StandIn(HiddenWorld(), "stand").play(Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",)))
 
 
 def test_the_bench_plays_a_motion_of_its_own():
     """The pendulum follows a motion of its joint; it has no IMU and cannot fall."""
     motion = Motion(np.arange(60) / 125, np.linspace(0, 0.5, 60)[:, None], ("servo",), robot="bench")
-    log = StandIn(World(), build_bench()).play(motion, metadata={"mass": 0.5, "length": 0.15})
+    log = StandIn(HiddenWorld(), build_bench()).play(motion, metadata={"mass": 0.5, "length": 0.15})
     assert abs(log.column("servo.position")[-1] - 0.5) < 0.2
     assert log.metadata.fallen is None
     assert not [name for name in log.channels if "imu" in name]
@@ -195,27 +199,27 @@ def test_the_bench_plays_a_motion_of_its_own():
 def test_a_push_throws_a_robot_off():
     """A stumbling push in the middle of a squat rolls the trunk; without it, it hardly moves; the stand holds it."""
     calm, pushed = (
-        play(StandIn(World(), seed=1), hold(pose("stand"), 0.6), 6.0, 0.1, pushes=pushes)
-        for pushes in ((), (Push(0.1, (0.0, 12.0, 0.0)),))
+        play(StandIn(HiddenWorld(), seed=1), hold(pose("stand"), 0.6), 6.0, 0.1, pushes=pushes)
+        for pushes in ((), (TrunkPush(0.1, (0.0, 12.0, 0.0)),))
     )
     roll = [np.abs(log.array("imu/orientation")[:, 0]).max() for log in (calm, pushed)]
     assert roll[0] < 0.02 < roll[1]
     with pytest.raises(ValueError, match="the trunk is held"):
-        StandIn(World(), "stand").push((1.0, 0.0, 0.0), 0.1)
+        StandIn(HiddenWorld(), "stand").push((1.0, 0.0, 0.0), 0.1)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", True])
 def test_bad_seeds(seed):
     """A seed is a whole number of at least 0."""
     with pytest.raises(ValueError, match="seed must be a whole number"):
-        StandIn(World(), "stand", seed=seed)
+        StandIn(HiddenWorld(), "stand", seed=seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_random_worlds_can_squat(seed):
     """No robot of a random world falls over, and its squat repeats."""
-    robot = StandIn(World.random(seed))
+    robot = StandIn(HiddenWorld.random(seed))
     first, second = robot.play(squat()), robot.play(squat())
     assert not first.metadata.fallen
     assert not second.metadata.fallen

@@ -4,7 +4,8 @@ import numpy as np
 import pinocchio
 import pytest
 
-from op3.robot import build_bench, build_scene, pose, squat
+from op3.motions import squat
+from op3.robot import pose
 from op3.robot.register_units import (
     ACCELERATION_UNIT,
     ANGLE_UNIT,
@@ -14,10 +15,11 @@ from op3.robot.register_units import (
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
 )
-from op3.stand_in import StandIn, World
+from op3.scenes import build_bench, build_scene
+from op3.stand_in import HiddenWorld, StandIn
 from tests.op3_table import JOINTS
 
-QUIET = World(
+QUIET = HiddenWorld(
     joint_spread=0.0,
     friction_drift=0.0,
     torque_noise=0.0,
@@ -53,7 +55,7 @@ def test_a_held_robot_stays_at_rest():
 
 def test_a_leaning_pose_stands_on_its_soles():
     """The trunk is tilted so that the soles are level: the squat's lean is found from its joint angles."""
-    robot = StandIn(World())
+    robot = StandIn(HiddenWorld())
     robot.reset(squat(lean=0.3).position[0])
     orientation = robot.read_sensors().orientation
     assert orientation is not None
@@ -76,7 +78,7 @@ def test_specific_force_in_the_stand(tilt):
 
 def test_readings_lie_on_the_registers_grids():
     """Every reading is a whole number of the register's units."""
-    robot = StandIn(World(), seed=3)
+    robot = StandIn(HiddenWorld(), seed=3)
     robot.reset(pose("stand"))
     hold(robot, pose("squat_low"), 0.08)
     sensors = robot.read_sensors()
@@ -118,7 +120,7 @@ def test_current_limit():
 
 def test_advance_carries_parts_of_a_step():
     """Many short advances add up to one long one."""
-    robot = StandIn(World(), "stand")
+    robot = StandIn(HiddenWorld(), "stand")
     for _ in range(1000):
         robot.advance(0.0001)
     assert robot.time == pytest.approx(0.1)
@@ -126,7 +128,7 @@ def test_advance_carries_parts_of_a_step():
 
 def test_bad_currents_are_refused():
     """Currents that are no numbers, too few, or would overtake others are refused."""
-    robot = StandIn(World(), "stand")
+    robot = StandIn(HiddenWorld(), "stand")
     with pytest.raises(ValueError, match="20 finite numbers"):
         robot.write_current(np.zeros(3))
     with pytest.raises(ValueError, match="20 finite numbers"):
@@ -139,10 +141,10 @@ def test_bad_currents_are_refused():
 @pytest.mark.parametrize(("asked", "made"), [(0.0003, 0.001 / 3), (0.002, 0.00025), (0.00011, 0.001 / 9)])
 def test_a_step_meets_every_millisecond(asked, made):
     """Filters and noise run at 1 kHz, so the step is made a whole part of it, a quarter at most."""
-    assert World(timestep=asked).timestep == pytest.approx(min(made, 0.00025))
+    assert HiddenWorld(timestep=asked).timestep == pytest.approx(min(made, 0.00025))
 
 
-def swing(world: World, angle: float, duration: float) -> list[float]:
+def swing(world: HiddenWorld, angle: float, duration: float) -> list[float]:
     """Energy of the released pendulum of the bench, every 10 ms [J]."""
     robot = StandIn(world, build_bench(mass=0.5, length=0.15))
     robot.reset(np.array([angle]))
@@ -245,14 +247,14 @@ def test_divergence_is_an_error():
 
 def test_truth_is_for_scorers():
     """The truth names every number of the world, per servo where servos differ."""
-    truth = StandIn(World(), "stand").truth()
-    assert truth["backward_efficiency"] == World().backward_efficiency
+    truth = StandIn(HiddenWorld(), "stand").truth()
+    assert truth["backward_efficiency"] == HiddenWorld().backward_efficiency
     assert np.shape(truth["torque_constant"]) == (len(JOINTS),)
 
 
 def test_the_body_is_the_worlds():
     """Mass, centre of mass, armature and ground of the compiled model are the world's, on top of the public model."""
-    world = World(base_mass_offset=0.3, base_com_offset_x=0.01, base_com_offset_z=-0.02, foot_friction=0.65)
+    world = HiddenWorld(base_mass_offset=0.3, base_com_offset_x=0.01, base_com_offset_z=-0.02, foot_friction=0.65)
     robot, public = StandIn(world), build_scene("floor").compile()
     hidden, trunk = robot._model, robot._model.body("op3/body_link").id
     assert hidden.body_subtreemass[0] - public.body_subtreemass[0] == pytest.approx(0.3)

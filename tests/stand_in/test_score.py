@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.sample_intervals import wilson_interval
+from op3.common.sample_intervals import wilson_interval
 from op3.stand_in.score import (
     MISSING,
     NOTHING,
-    Finding,
-    Verdict,
+    BenchFinding,
+    BenchVerdict,
     calibration,
     closure,
     confusion,
@@ -35,12 +35,12 @@ def answer(kind="single", *effects, severity="clear"):
 
 
 BACKLASH = answer("single", ("backlash", "r_knee", 0.004))
-RIGHT = Finding("backlash", ("r_knee",), 0.9, 0.005, (0.003, 0.006))
+RIGHT = BenchFinding("backlash", ("r_knee",), 0.9, 0.005, (0.003, 0.006))
 
 
 def test_the_right_name_in_the_right_joint_counts_fully():
     """Name, joint, family, size inside the interval: all right, and 0.9 is not misleading."""
-    row = score_case(BACKLASH, Verdict((RIGHT,)))
+    row = score_case(BACKLASH, BenchVerdict((RIGHT,)))
     assert all(row[key] for key in ("exact", "name", "joints", "family", "clean", "covered"))
     assert row["size_ratio"] == pytest.approx(1.25)  # 0.005 / 0.004
     assert row["confident_wrong"] is False
@@ -49,7 +49,7 @@ def test_the_right_name_in_the_right_joint_counts_fully():
 
 def test_the_right_name_in_the_wrong_joint_is_not_exact():
     """The name is right, the joint is not; at 0.9 this misleads."""
-    row = score_case(BACKLASH, Verdict((Finding("backlash", ("r_hip_pitch",), 0.9),)))
+    row = score_case(BACKLASH, BenchVerdict((BenchFinding("backlash", ("r_hip_pitch",), 0.9),)))
     assert row["name"] is True
     assert row["exact"] is row["joints"] is row["family"] is row["clean"] is False
     assert row["confident_wrong"] is True
@@ -58,7 +58,7 @@ def test_the_right_name_in_the_wrong_joint_is_not_exact():
 @pytest.mark.parametrize(("probability", "misleads"), [(0.85, True), (0.6, False)])
 def test_a_further_name_misleads_as_the_first_does(probability, misleads):
     """The hidden effect is named first; a second that is not hidden is a wrong name, as sure as it is stated."""
-    row = score_case(BACKLASH, Verdict((RIGHT, Finding("lugre", ("r_hip_pitch",), probability))))
+    row = score_case(BACKLASH, BenchVerdict((RIGHT, BenchFinding("lugre", ("r_hip_pitch",), probability))))
     assert row["exact"] is True
     assert row["clean"] is False
     assert row["confident_wrong"] is misleads
@@ -66,31 +66,31 @@ def test_a_further_name_misleads_as_the_first_does(probability, misleads):
 
 def test_an_alternative_is_in_the_family():
     """`compliance` that could be `backlash` is right as a family and not by name; so is one joint for another."""
-    wrong = Finding("compliance", ("r_knee",), 0.6, others=(Finding("backlash", ("r_knee",), 0.4),))
-    row = score_case(BACKLASH, Verdict((wrong,)))
+    wrong = BenchFinding("compliance", ("r_knee",), 0.6, others=(BenchFinding("backlash", ("r_knee",), 0.4),))
+    row = score_case(BACKLASH, BenchVerdict((wrong,)))
     assert (row["exact"], row["family"]) == (False, True)
 
 
 def test_a_hint_is_no_name():
     """What is not more likely than not, as all is on a base in doubt, names nothing, and counts in the calibration."""
-    row = score_case(answer("null"), Verdict((Finding("dte", (), 0.5),)))
+    row = score_case(answer("null"), BenchVerdict((BenchFinding("dte", (), 0.5),)))
     assert row["named"] is False
     assert row["stated"] == [[0.5, False]]
-    assert score_case(answer("null"), Verdict((Finding("dte", (), 0.7),)))["named"] is True
+    assert score_case(answer("null"), BenchVerdict((BenchFinding("dte", (), 0.7),)))["named"] is True
 
 
 def test_an_unusual_base_is_no_name():
     """That the latency is far from usual is a name where more of it is hidden, and passed over where none is."""
-    latency = Finding("latency", (), 0.95, of_base=True)
-    assert score_case(answer("null"), Verdict((latency,)))["named"] is False
-    assert score_case(answer("single", ("latency", None, 0.006)), Verdict((latency,)))["exact"] is True
+    latency = BenchFinding("latency", (), 0.95, of_base=True)
+    assert score_case(answer("null"), BenchVerdict((latency,)))["named"] is False
+    assert score_case(answer("single", ("latency", None, 0.006)), BenchVerdict((latency,)))["exact"] is True
 
 
 def test_an_outsider_has_no_name():
     """Whatever is named for it is wrong, and misleading when sure."""
     outsider = answer("outsider", ("creep", "r_knee", 0.5))
-    assert score_case(outsider, Verdict())["named"] is False
-    row = score_case(outsider, Verdict((Finding("viscous", ("r_knee",), 0.85),)))
+    assert score_case(outsider, BenchVerdict())["named"] is False
+    row = score_case(outsider, BenchVerdict((BenchFinding("viscous", ("r_knee",), 0.85),)))
     assert row["named"] is row["confident_wrong"] is True
     assert row["exact"] is None
 
@@ -98,9 +98,9 @@ def test_an_outsider_has_no_name():
 def test_pairs():
     """One of two without a wrong name is one; both, in any order, are both; a wrong name spoils the one."""
     pair = answer("pair", ("dte", None, 0.25), ("backlash", "r_knee", 0.004))
-    dte, wrong = Finding("dte", (), 0.8), Finding("viscous", (), 0.6)
+    dte, wrong = BenchFinding("dte", (), 0.8), BenchFinding("viscous", (), 0.6)
     for findings, both, one in (((dte,), False, True), ((RIGHT, dte), True, True), ((dte, wrong), False, False)):
-        row = score_case(pair, Verdict(findings))
+        row = score_case(pair, BenchVerdict(findings))
         assert (row["both"], row["one"]) == (both, one)
 
 
@@ -138,12 +138,12 @@ def test_a_summary_by_hand():
     """Three singles (exact, wrong joint, no verdict), two sound robots (one named), one outsider left alone."""
     cost = {"seconds": 40.0, "processor_seconds": 50.0, "peak_memory": 9e8}
     rows = [
-        score_case(BACKLASH, Verdict((RIGHT,)), cost),
-        score_case({**BACKLASH, "severity": "mild"}, Verdict((Finding("backlash", ("r_ank_pitch",), 0.6),))),
-        score_case(BACKLASH, Verdict(failed=True)),
-        score_case(answer("null"), Verdict()),
-        score_case(answer("null"), Verdict((Finding("dte", (), 0.7),))),
-        score_case(answer("outsider", ("creep", "r_knee", 1.0)), Verdict()),
+        score_case(BACKLASH, BenchVerdict((RIGHT,)), cost),
+        score_case({**BACKLASH, "severity": "mild"}, BenchVerdict((BenchFinding("backlash", ("r_ank_pitch",), 0.6),))),
+        score_case(BACKLASH, BenchVerdict(failed=True)),
+        score_case(answer("null"), BenchVerdict()),
+        score_case(answer("null"), BenchVerdict((BenchFinding("dte", (), 0.7),))),
+        score_case(answer("outsider", ("creep", "r_knee", 1.0)), BenchVerdict()),
     ]
     summary = summarise(rows)
     counted = {key: (summary[key]["count"], summary[key]["of"]) for key in
@@ -182,12 +182,12 @@ def test_a_verdict_file_reads_back(tmp_path):
     ]  # fmt: skip
     path.write_text(yaml.safe_dump({"findings": findings}))
     dte, mass, stribeck = read_verdict(path, LEG_JOINTS).findings
-    assert dte == Finding("dte", (), 0.7, 0.8, (0.75, 0.85))
+    assert dte == BenchFinding("dte", (), 0.7, 0.8, (0.75, 0.85))
     assert (mass.name, mass.joints, mass.size, mass.interval) == ("link_mass", ("r_ank_roll",), 0.05, (0.04, 0.06))
-    assert mass.others == (Finding("link_com", ("r_ank_roll",), 0.0),)
+    assert mass.others == (BenchFinding("link_com", ("r_ank_roll",), 0.0),)
     assert stribeck.size is None
     truth = answer("single", ("dte", None, 0.25))  # an efficiency of 0.8
-    assert score_case(truth, Verdict((dte,)))["covered"] is True
+    assert score_case(truth, BenchVerdict((dte,)))["covered"] is True
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from op3.robot import quaternion
 from op3.robot.register_units import ACCELERATION_UNIT, GYRO_UNIT
-from op3.stand_in import World
+from op3.stand_in import HiddenWorld
 from op3.stand_in.sensors import Imu, quantise, roll_pitch_yaw
 
-QUIET = World(gyro_noise=0.0, gyro_bias=0.0, accelerometer_noise=0.0)
+QUIET = HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, accelerometer_noise=0.0)
 LEVEL = np.array([1.0, 0, 0, 0])
 GRAVITY = np.array([0, 0, 9.81])
 
@@ -58,7 +58,7 @@ def test_registers_follow_at_200_hz():
 
 def test_grids_and_clipping():
     """Rates and forces are whole counts; the accelerometer clips at 2 g."""
-    imu = Imu(World())
+    imu = Imu(HiddenWorld())
     rng = np.random.default_rng(0)
     imu.reset(LEVEL, np.array([0.1, 30.0, -30.0]))
     for _ in range(20):

@@ -6,24 +6,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.robot import load_servo
-from op3.stand_in import Hidden, World
-from op3.stand_in.hidden_servos import Servos
+from op3.stand_in import Hidden, HiddenWorld
+from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK, step_servos
 
-QUIET = World(joint_spread=0.0, friction_drift=0.0, torque_noise=0.0, current_offset=0.0, bus_resistance=0.0)
+QUIET = HiddenWorld(joint_spread=0.0, friction_drift=0.0, torque_noise=0.0, current_offset=0.0, bus_resistance=0.0)
 FRICTIONLESS = QUIET.replace(coulomb_friction=0.0, static_friction_excess=0.0, viscous_friction=0.0)
 STEP = QUIET.timestep
 
 
-def bank(world: World, *hidden: Hidden, count: int = 1) -> Servos:
+def bank(world: HiddenWorld, *hidden: Hidden, count: int = 1) -> HiddenServos:
     joints = tuple(f"joint_{number}" for number in range(count))
     makes = [load_servo("xm430-w350")] * count
-    servos = Servos(world, hidden, joints, makes, np.zeros(count), np.tile([-np.inf, np.inf], (count, 1)))
+    servos = HiddenServos(world, hidden, joints, makes, np.zeros(count), np.tile([-np.inf, np.inf], (count, 1)))
     servos.reset(np.zeros(count), np.random.default_rng(0))
     return servos
 
 
-def run(servos: Servos, current: float, velocity: float, duration: float = 0.2, position: float = 0.0) -> float:
+def run(servos: HiddenServos, current: float, velocity: float, duration: float = 0.2, position: float = 0.0) -> float:
     """Torque after moving steadily for a while [N m]."""
     count = len(servos.states)
     torque, speed = np.zeros(count), np.full(count, velocity)
@@ -238,7 +238,7 @@ def test_a_servo_of_another_make_is_in_proportion():
     Without losses a motor at its usual supply stalls at K V / R, of the XM430 5.20 N m, of the STS3215 3.77 N m.
     """
     make, like = load_servo("sts3215"), load_servo("xm430-w350")
-    servos = Servos(QUIET, (), ("joint",), [make], np.zeros(1), np.array([[-1.0, 1.0]]))
+    servos = HiddenServos(QUIET, (), ("joint",), [make], np.zeros(1), np.array([[-1.0, 1.0]]))
     stalls = [one.output_constant * one.supply.si / one.motor.terminal_resistance.si for one in (make, like)]
     assert stalls == pytest.approx([3.77, 5.20], abs=0.01)
     assert servos.servos["coulomb"][0] == pytest.approx(QUIET.coulomb_friction * stalls[0] / stalls[1])
@@ -249,7 +249,7 @@ def test_a_servo_of_another_make_is_in_proportion():
 
 def test_a_position_loop_of_its_own():
     """A duty of 0.166 per rad and unit of gain: at 32 units and 0.05 rad off it is 0.266, and never above 0.97."""
-    servos = Servos(QUIET, (), ("joint",), [load_servo("sts3215")], np.zeros(1), np.array([[-3.0, 3.0]]))
+    servos = HiddenServos(QUIET, (), ("joint",), [load_servo("sts3215")], np.zeros(1), np.array([[-3.0, 3.0]]))
     servos.reset(np.zeros(1), np.random.default_rng(0))
     for goal, duty in ((0.05, 0.166 * 32 * 0.05), (1.0, 0.97)):
         servos.states["goal"] = goal

@@ -8,8 +8,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from op3.robot import squat
-from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, StandIn, World, world_names
+from op3.motions import squat
+from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, HiddenWorld, StandIn, world_names
 from op3.stand_in.world import FORMS, read_ranges
 
 TABLE_1 = {
@@ -29,7 +29,7 @@ TABLE_1 = {
 @given(st.integers(0, 2**32))
 def test_random_worlds_lie_in_table_1(seed):
     """A random world can be identified: the paper's ranges contain it, and its gear loses 20 to 40 %."""
-    world = World.random(seed)
+    world = HiddenWorld.random(seed)
     for name, (low, high) in TABLE_1.items():
         assert low <= getattr(world, name) <= high
     assert 0.6 <= world.backward_efficiency <= 0.8
@@ -38,51 +38,51 @@ def test_random_worlds_lie_in_table_1(seed):
 
 def test_every_range_is_used():
     """A random world differs from another in every quantity that is drawn."""
-    a, b = World.random(1), World.random(2)
+    a, b = HiddenWorld.random(1), HiddenWorld.random(2)
     assert all(getattr(a, name) != getattr(b, name) for name in RANDOM_RANGES)
-    assert World.random(1) == a
+    assert HiddenWorld.random(1) == a
 
 
 @given(st.integers(0, 1000))
 def test_a_file_gives_back_the_world(tmp_path_factory, seed):
     """Saving and loading loses nothing."""
     path = tmp_path_factory.mktemp("world") / "world.yaml"
-    world = World.random(seed)
-    assert World.load(world.save(path)) == world
+    world = HiddenWorld.random(seed)
+    assert HiddenWorld.load(world.save(path)) == world
 
 
 @pytest.mark.parametrize("name", world_names())
 def test_worlds_that_come_with_the_project(name):
     """Each loads, and lies in the paper's ranges; the gear of one lies beyond them, and that alone."""
-    world = World.find(name)
+    world = HiddenWorld.find(name)
     beyond = [key for key, (low, high) in TABLE_1.items() if not low <= getattr(world, key) <= high]
     assert beyond == (["backward_efficiency"] if name == "robot_7" else [])
 
 
 def test_graded_worlds():
     """Three worlds are graded by their backward efficiency, and differ in more than that."""
-    worlds = [World.find(f"eta_0{grade}0") for grade in (6, 7, 8)]
+    worlds = [HiddenWorld.find(f"eta_0{grade}0") for grade in (6, 7, 8)]
     assert [world.backward_efficiency for world in worlds] == [0.6, 0.7, 0.8]
     assert len({world.torque_constant for world in worlds}) == 3
 
 
 def test_identity():
     """Equal worlds have one identity, whatever the type of their numbers; the smallest change gives another."""
-    assert World(bus_voltage=12).identity == World(bus_voltage=12.0).identity
+    assert HiddenWorld(bus_voltage=12).identity == HiddenWorld(bus_voltage=12.0).identity
     identities = {
-        World()
-        .replace(**{field.name: getattr(World(), field.name) + (1 if field.name == "spread_seed" else 1e-9)})
+        HiddenWorld()
+        .replace(**{field.name: getattr(HiddenWorld(), field.name) + (1 if field.name == "spread_seed" else 1e-9)})
         .identity
-        for field in dataclasses.fields(World)
+        for field in dataclasses.fields(HiddenWorld)
         if "efficiency" not in field.name and field.name not in (*FORMS, "timestep", "hidden")
     }
-    assert len(identities) == len(dataclasses.fields(World)) - 2 - len(FORMS) - 2
-    assert World().identity not in identities
+    assert len(identities) == len(dataclasses.fields(HiddenWorld)) - 2 - len(FORMS) - 2
+    assert HiddenWorld().identity not in identities
 
 
 def test_spread():
     """Servos differ by no more than the spread, and are the same servos each time."""
-    world = World(joint_spread=0.03)
+    world = HiddenWorld(joint_spread=0.03)
     values = world.per_joint(20)
     for name, row in values.items():
         ratio = row / getattr(world, name)
@@ -112,7 +112,7 @@ def test_a_bad_file_is_refused_in_one_sentence(tmp_path, content, message):
     path = tmp_path / "world.yaml"
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(ValueError, match=message) as error:
-        World.load(path)
+        HiddenWorld.load(path)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -122,23 +122,23 @@ def test_invalid_yaml(tmp_path):
     path = tmp_path / "world.yaml"
     path.write_text("armature: [")
     with pytest.raises(ValueError, match="no valid YAML") as error:
-        World.load(path)
+        HiddenWorld.load(path)
     assert "\n" not in str(error.value)
 
 
 def test_unknown_world():
     """A name that nothing has is refused with the names there are."""
     with pytest.raises(ValueError, match="no world 'utopia'; choose random, default, eta_060"):
-        World.find("utopia")
+        HiddenWorld.find("utopia")
     with pytest.raises(ValueError, match="seed of a random world"):
-        World.find("random", -1)
+        HiddenWorld.find("random", -1)
 
 
 def test_a_file_may_start_from_a_random_world(tmp_path):
     """`draw: 7` is the random world of seed 7; further lines change it."""
     path = tmp_path / "robot.yaml"
     path.write_text("draw: 7\nbus_resistance: 0.9\n")
-    assert World.load(path) == World.random(7).replace(bus_resistance=0.9)
+    assert HiddenWorld.load(path) == HiddenWorld.random(7).replace(bus_resistance=0.9)
 
 
 def test_a_wrong_draw_is_refused_with_the_file(tmp_path):
@@ -146,16 +146,16 @@ def test_a_wrong_draw_is_refused_with_the_file(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("draw: many\n")
     with pytest.raises(ValueError, match=r"robot\.yaml: the seed of a random world"):
-        World.load(path)
+        HiddenWorld.load(path)
 
 
 def test_a_bench_robot_is_drawn_in_everything():
     """Two robots of the bench differ in every number, and over many every law is met."""
-    one, other = World.random(1, BENCH_RANGES), World.random(2, BENCH_RANGES)
-    fields = [field.name for field in dataclasses.fields(World)]
+    one, other = HiddenWorld.random(1, BENCH_RANGES), HiddenWorld.random(2, BENCH_RANGES)
+    fields = [field.name for field in dataclasses.fields(HiddenWorld)]
     alike = [name for name in fields if name not in FORMS and getattr(one, name) == getattr(other, name)]
     assert set(alike) <= {"forward_efficiency", "timestep", "hidden"}
-    drawn = [World.random(seed, BENCH_RANGES) for seed in range(40)]
+    drawn = [HiddenWorld.random(seed, BENCH_RANGES) for seed in range(40)]
     for name, laws in FORMS.items():
         assert {getattr(world, name) for world in drawn} == set(laws)
 
@@ -165,7 +165,7 @@ def test_ranges_can_be_replaced(tmp_path):
     path = tmp_path / "ranges.yaml"
     path.write_text("velocity_lag: [0.03, 0.04]\nfade_form: [lorentz]\n")
     ranges = read_ranges(path)
-    world = World.random(5, ranges)
+    world = HiddenWorld.random(5, ranges)
     assert 0.03 <= world.velocity_lag <= 0.04
     assert world.fade_form == "lorentz"
     assert ranges["armature"] == BENCH_RANGES["armature"]
@@ -181,13 +181,13 @@ def test_a_file_may_hide_effects_of_the_bench(tmp_path):
     """A robot with one is told apart, comes back as it was, and plays otherwise than without."""
     path = tmp_path / "world.yaml"
     path.write_text("draw: 7\nhidden: [{name: backlash, size: 0.01, joints: [l_knee, r_knee]}]\n")
-    world = World.load(path)
+    world = HiddenWorld.load(path)
     assert world.hidden[0].form == "dead_zone"
-    assert World.load(world.save(tmp_path / "again.yaml")) == world
-    assert world.identity != World.random(7).identity
+    assert HiddenWorld.load(world.save(tmp_path / "again.yaml")) == world
+    assert world.identity != HiddenWorld.random(7).identity
     logs = [
         StandIn(one, "stand").play(squat(frequency=2.0, knee_high=1.2, duration=0.5), 6.0, 0.1)
-        for one in (world, World.random(7))
+        for one in (world, HiddenWorld.random(7))
     ]
     knee = logs[0].joints.index("l_knee")
     assert np.abs(logs[0].array("joint/position") - logs[1].array("joint/position"))[:, knee].max() > 0.005
@@ -205,4 +205,4 @@ def test_an_effect_that_cannot_be_hidden_is_refused(effect, message, tmp_path):
     path = tmp_path / "world.yaml"
     path.write_text(f"hidden: [{effect}]\n")
     with pytest.raises(ValueError, match=message):
-        World.load(path)
+        HiddenWorld.load(path)

@@ -10,11 +10,13 @@ import yaml
 from op3.identify.design import information
 from op3.identify.identification import Identification
 from op3.identify.prediction_score import predict_logs
-from op3.robot import build_scene, check_motion, load_robot, multisine
+from op3.motions import check_motion, multisine
+from op3.replay import ModelRobot
+from op3.robot import load_robot
 from op3.rollout import Rollout, read_log
+from op3.scenes import build_scene
 from op3.sim import servo_model
-from op3.stand_in import StandIn, World
-from op3.tasks import ModelRobot
+from op3.stand_in import HiddenWorld, StandIn
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "robot"))
 from robots import ROBOTS, write_robot
@@ -91,7 +93,9 @@ def test_servos_of_other_supplies_and_gains_are_played_and_predicted(played_by, 
     """Each gets its own voltage, and is predicted with its own gain: a log without both columns says as much."""
     path = write_robot(tmp_path, "four", {"{bus_id: 4}": "{bus_id: 4, servo: xl330-m288}"})
     motion = multisine(duration=1.5, robot=str(path))
-    player = StandIn(World(), build_scene("stand", robot=path)) if played_by == "stand_in" else ModelRobot(str(path))
+    player = (
+        StandIn(HiddenWorld(), build_scene("stand", robot=path)) if played_by == "stand_in" else ModelRobot(str(path))
+    )
     log = player.play(motion, 6.0, 0.1)
     assert log.array("joint/voltage")[0, [0, 3]] == pytest.approx([7.4, 5.0], rel=0.08)
     model = servo_model(load_robot(path))

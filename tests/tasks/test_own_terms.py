@@ -9,7 +9,7 @@ import pytest
 import torch
 from torchrl.envs import check_env_specs
 
-from op3.assets import asset_path
+from op3.common.assets import asset_path
 from op3.envs import make_env
 from op3.envs.record import record_episodes
 from op3.policy import PolicyBundle
@@ -74,6 +74,13 @@ def stairs(robot):
 
 def wrong_shape(state):
     return state.base_velocity
+
+
+def height_and_velocity(state):
+    return torch.cat([state.base_height[:, None], state.heading_velocity], 1)
+
+
+height_and_velocity.mirror = (1.0, 1.0, -1.0, -1.0)
 """
 
 OWN = {
@@ -120,6 +127,30 @@ def test_own_terms_act(package, backend):
     assert after["reward_terms", "airtime"].item() == 0.0
     leaned = [made["observation"][0, 3 * 18 : 3 * 18 + 20] for made in (after, other)]
     assert (after["observation"] - other["observation"]).abs().max() > 1e-3, leaned
+
+
+@pytest.mark.parametrize("backend", ["batched", "composer"])
+def test_what_critics_alone_see(package, backend):
+    """A user's privileged observation is a key of its own, from the first observation on; the policy's is as before."""
+    own = {"privileged.state": {"function": "my_package.terms.height_and_velocity"}}
+    env = make_env(find_task("walk", own), num_envs=1, backend=backend)
+    plain = make_env(find_task("walk"), num_envs=1, backend=backend)
+    check_env_specs(env)
+    env.set_seed(0)
+    state, other = env.reset(), plain.reset()
+    assert state["privileged"].shape == (1, 4)
+    assert 0.2 < state["privileged"][0, 0] < 0.35  # the trunk's height [m]
+    assert torch.equal(state["observation"], other["observation"])
+    mirror = env.task.mirror(env.action_map)
+    assert mirror.privileged(torch.ones(4)).tolist() == [1.0, 1.0, -1.0, -1.0]
+
+
+def test_privileged_observations_that_cannot_be_are_named(package):
+    """Without signs, or with other numbers than signs, one sentence names the term."""
+    with pytest.raises(ValueError, match=r"privileged\.mine: give the function mirror"):
+        make_env(find_task("walk", {"privileged.mine": {"function": "my_package.terms.wrong_shape"}}), num_envs=2)
+    with pytest.raises(ValueError, match=r"there is no term 'base_heigt'.*base_height"):
+        make_env(find_task("walk", {"privileged.base_heigt": {}}), num_envs=2)
 
 
 def test_a_term_of_the_wrong_shape_is_named(package):

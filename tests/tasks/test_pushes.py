@@ -4,12 +4,12 @@ import mujoco
 import numpy as np
 import torch
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.envs import BatchedEnv, make_env
 from op3.tasks import find_task
 from op3.tasks.episodes import Episodes
 from op3.tasks.events import Pushing
 from op3.tasks.pushes import DIRECTIONS, FIRST_PUSH, PUSH_DURATION, Push
-from op3.tasks.setups import OP3_CONTROL_PERIOD
 
 
 def momentum(env: BatchedEnv, robot: int) -> np.ndarray:
@@ -43,9 +43,9 @@ def test_pushes_are_drawn():
     event = Pushing(num_envs=count, duration=10.0, gait_cycle=1.0, impulse=2.0)
     nothing = np.zeros((count, 0))
     event.begin(Episodes(np.arange(count), np.arange(count), nothing, nothing))
-    ticks = np.arange(round(10.0 / OP3_CONTROL_PERIOD)) * OP3_CONTROL_PERIOD
+    ticks = np.arange(round(10.0 / CONTROL_PERIOD)) * CONTROL_PERIOD
     force = np.stack([event._pushes[0].force(np.full(count, time)) for time in ticks])
-    impulse = OP3_CONTROL_PERIOD * force.sum(0)
+    impulse = CONTROL_PERIOD * force.sum(0)
     angles = np.arctan2(impulse[:, 1], impulse[:, 0]) / (2 * np.pi / DIRECTIONS)
     np.testing.assert_allclose(np.linalg.norm(impulse, axis=1), 2.0)
     np.testing.assert_allclose(angles, np.rint(angles), atol=1e-9)
@@ -59,7 +59,7 @@ def test_pushes_again_and_again():
     event = Pushing(num_envs=3, duration=10.0, gait_cycle=None, impulse=1.0, every=2.0, uniform=True)
     nothing = np.zeros((3, 0))
     event.begin(Episodes(np.arange(3), np.arange(3), nothing, nothing))
-    ticks = np.arange(round(10.0 / OP3_CONTROL_PERIOD)) * OP3_CONTROL_PERIOD
+    ticks = np.arange(round(10.0 / CONTROL_PERIOD)) * CONTROL_PERIOD
     sizes = [[np.linalg.norm(p.force(np.full(3, t)), axis=1).max() for t in ticks] for p in event._pushes]
     largest = np.max(sizes, axis=1) * PUSH_DURATION
     assert len(largest) == 4

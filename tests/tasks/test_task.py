@@ -8,10 +8,11 @@ import pytest
 
 from op3.envs import make_env
 from op3.policy import PolicyBundle
+from op3.replay import Setup
 from op3.robot import asset_path, named_configs, pose
 from op3.servo import Estimate
 from op3.sim import load_model
-from op3.tasks import Randomisation, Setup, find_task, task_names
+from op3.tasks import ParameterRanges, find_task, task_names
 
 
 @pytest.mark.parametrize("name", task_names())
@@ -100,9 +101,9 @@ def test_randomisation_from_intervals():
     """Parameters with an interval are drawn from it, the others stay; without any interval it is refused."""
     model = load_model("paper")
     with pytest.raises(ValueError, match="no parameter with an interval"):
-        Randomisation("intervals").bounds(model)
+        ParameterRanges("intervals").bounds(model)
     known = model.with_values({"torque_constant": Estimate(0.006, 0.0055, 0.0065)})
-    drawn = [Randomisation("intervals").draw(known, seed) for seed in range(50)]
+    drawn = [ParameterRanges("intervals").draw(known, seed) for seed in range(50)]
     assert all(set(values) == {"torque_constant"} for values in drawn)
     assert all(0.0055 <= values["torque_constant"] <= 0.0065 for values in drawn)
     assert np.std([values["torque_constant"] for values in drawn]) > 1e-4
@@ -110,7 +111,7 @@ def test_randomisation_from_intervals():
 
 def test_table_one():
     """By default the ten free parameters of Table I are drawn, the forward efficiency is not."""
-    bounds = Randomisation().bounds(load_model("paper"))
+    bounds = ParameterRanges().bounds(load_model("paper"))
     assert len(bounds) == 10
     assert "forward_efficiency" not in bounds
     assert bounds["torque_constant"] == (0.003, 0.009)

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
+from torchrl.data import Unbounded
+from torchrl.envs import check_env_specs
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import REDQLoss, SACLoss
 from train_pendulum import LIMIT, MANIFEST, Pendulum
@@ -304,9 +306,9 @@ def test_the_normalisation_is_frozen_in_evaluation(kind, options):
     env, judge = Pendulum(16), Pendulum(8)
     algorithm = kind(env, **options)
     taken = rollout(env, algorithm, 8)
-    assert float(algorithm.normaliser.count) == 0
+    assert float(algorithm.normaliser.count[0]) == 0
     algorithm.take(taken)
-    assert float(algorithm.normaliser.count) == 16 * 8
+    assert float(algorithm.normaliser.count[0]) == 16 * 8
     before = copy.deepcopy(algorithm.state_dict())
     evaluate(judge, algorithm.act, 0, LIMIT)
     rollout(env, algorithm, 8)
@@ -394,6 +396,43 @@ def test_half_of_a_batch_is_seen_in_the_mirror():
         assert torch.equal(seen[key][:16], sign * batch[key][:16])
         assert torch.equal(seen[key][16:], batch[key][16:])
     assert torch.equal(seen["action"][:16], Flip().action(batch["action"][:16]))
+
+
+class Shaken(Pendulum):
+    """Pendulums whose critics see one more number than the policy."""
+
+    def __init__(self, count: int):
+        super().__init__(count)
+        self.observation_spec["privileged"] = Unbounded((count, 1))
+
+    def _reset(self, tensordict=None, **_):
+        return super()._reset(tensordict).set("privileged", self.state[:, 1:2].clone())
+
+    def _step(self, tensordict):
+        return super()._step(tensordict).set("privileged", self.state[:, 1:2].clone())
+
+
+@pytest.mark.parametrize(("kind", "options"), ALGORITHMS)
+def test_critics_see_more_than_the_policy(kind, options):
+    """Learning changes the critics' weights of the privileged number; the bundle is as wide as the observation."""
+    env = Shaken(16)
+    check_env_specs(env)
+    algorithm = kind(env, **options)
+    first = {"SAC": "critics", "TD3": "loss", "PPO": "loss"}[kind.__name__]
+    wide = [p for p in getattr(algorithm, first).parameters() if p.dim() > 1 and p.shape[-1] == 4]
+    before = [p.detach().clone() for p in wide]
+    for _ in range(4):
+        algorithm.take(rollout(env, algorithm, 8))
+        algorithm.learn()
+    assert wide
+    assert all((p.detach()[..., 3] != old[..., 3]).any() for p, old in zip(wide, before, strict=True))
+    weights = algorithm.bundle(MANIFEST).weights
+    assert weights["observation.mean"].shape == (3,)
+    assert weights["layer_0.weight"].shape[1] == 3
+    other = kind(env, **options, seed=5)
+    other.start_from(algorithm.bundle(MANIFEST))
+    seen = torch.randn(10, 3, generator=generator())
+    assert torch.equal(other.act(seen), algorithm.act(seen))
 
 
 class Redq(OffPolicy):

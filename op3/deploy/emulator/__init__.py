@@ -1,6 +1,6 @@
 """An emulated robot on a Dynamixel Protocol 2.0 bus, to the byte."""
 
-from op3.deploy.emulator.emulated_robot import USUAL_SETTINGS, Clock, EmulatedRobot
+from op3.deploy.emulator.emulated_robot import USUAL_SETTINGS, EmulatedClock, EmulatedRobot
 from op3.deploy.emulator.faults import (
     BrownOut,
     Faults,
@@ -10,7 +10,7 @@ from op3.deploy.emulator.faults import (
     Silent,
     Unplug,
 )
-from op3.deploy.emulator.line import Frame, Timing, read_frames
+from op3.deploy.emulator.line import Frame, LineTiming, read_frames
 from op3.deploy.emulator.physics import Physics, StandInPhysics
 from op3.deploy.emulator.port import VirtualPort
 from op3.deploy.emulator.pty_server import PtyServer
@@ -19,19 +19,19 @@ from op3.deploy.emulator.sim_physics import SimPhysics
 __all__ = [
     "USUAL_SETTINGS",
     "BrownOut",
-    "Clock",
+    "EmulatedClock",
     "EmulatedRobot",
     "Faults",
     "Frame",
     "FrozenImu",
     "HardwareFault",
+    "LineTiming",
     "Overheat",
     "Physics",
     "PtyServer",
     "Silent",
     "SimPhysics",
     "StandInPhysics",
-    "Timing",
     "Unplug",
     "VirtualPort",
     "read_frames",

@@ -24,7 +24,7 @@ from op3.deploy.emulator.faults import (
     Unplug,
 )
 from op3.deploy.emulator.instructions import Dispatcher
-from op3.deploy.emulator.line import FrameRecorder, Line, Timing
+from op3.deploy.emulator.line import FrameRecorder, Line, LineTiming
 from op3.deploy.emulator.physics import PERIOD, Physics
 from op3.deploy.emulator.servo import BOOT_TIME, WATCHDOG_ERROR, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
@@ -52,7 +52,7 @@ def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
     return memory
 
 
-class Clock:
+class EmulatedClock:
     """Time of the emulated world, which `advance` lets go on until a time [s]."""
 
     def __init__(self, advance: Callable[[float], None]):
@@ -96,12 +96,12 @@ class EmulatedRobot:
         *,
         seed: int = 0,
         faults: Faults | None = None,
-        timing: Timing | None = None,
+        timing: LineTiming | None = None,
         settings: Mapping[str, int] | None = None,
         record: str | Path | None = None,
     ):
         self.physics = physics
-        self.faults, timing = faults or Faults(), timing or Timing()
+        self.faults, timing = faults or Faults(), timing or LineTiming()
         known = physics.known
         self._units = Units(known)
         eeprom = dict(USUAL_SETTINGS if settings is None else settings)
@@ -117,7 +117,7 @@ class EmulatedRobot:
         self.faults.check_on([device.id for device in devices])
         self._dispatcher = Dispatcher(devices, timing.turnaround, self._hears)
         self.recorder = None if record is None else FrameRecorder(record)
-        self.clock = Clock(self.advance)
+        self.clock = EmulatedClock(self.advance)
         self.bus = Line(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
         self.time = self._refreshed = self._heard = 0.0
         self._ticks = 0

@@ -9,8 +9,8 @@ from collections.abc import Collection
 from math import inf
 from typing import Any
 
+from op3.common.settings import Listed, NotNegative, Number, Share, Whole, settings
 from op3.deploy.registers import HardwareError
-from op3.settings import Listed, NotNegative, Number, Share, Whole, settings
 
 
 @settings("faults")

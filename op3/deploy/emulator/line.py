@@ -12,13 +12,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from op3.common.settings import NotNegative, Number, settings
 from op3.deploy.emulator.faults import Faults
 from op3.deploy.protocol import Packet, Parser
-from op3.settings import NotNegative, Number, settings
 
 
 @settings("timing")
-class Timing:
+class LineTiming:
     """How long things take on the way: with these values a tick of twenty servos and the IMU takes 5.1 ms at 2 Mbit/s.
 
     Attributes:
@@ -105,7 +105,12 @@ class Line:
     """The line, the adapter and what is under way on them; `rng` decides about faults."""
 
     def __init__(
-        self, answers: Answers, timing: Timing, faults: Faults, rng: np.random.Generator, recorder: FrameRecorder | None
+        self,
+        answers: Answers,
+        timing: LineTiming,
+        faults: Faults,
+        rng: np.random.Generator,
+        recorder: FrameRecorder | None,
     ):
         self.baud = 1_000_000
         self.timing, self.faults = timing, faults

@@ -8,9 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot import BoardMotion, Robot, WeightSchedule
-from op3.robot.scenes import Scene
-from op3.stand_in import StandIn, World
+from op3.robot import Robot
+from op3.scenes import BoardMotion, WeightSchedule
+from op3.scenes.scene import Scene
+from op3.stand_in import HiddenWorld, StandIn
 from op3.stand_in.sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -66,20 +67,20 @@ class StandInPhysics(StandIn):
     """A stand-in robot, whose truth is hidden, behind the bus. It has its own battery, temperatures and IMU.
 
     Args:
-        scene: a name that `op3.robot.build_scene` knows, or a scene.
+        scene: a name that `op3.scenes.build_scene` knows, or a scene.
         seed: of the sensors' noise and the servos' state.
         joint_position: [joint] in rad at the start; by default home.
     """
 
     def __init__(
         self,
-        world: World | None = None,
+        world: HiddenWorld | None = None,
         scene: str | Scene = "floor",
         *,
         seed: int = 0,
         joint_position: ArrayLike | None = None,
     ):
-        super().__init__(world or World(), scene, seed=seed)
+        super().__init__(world or HiddenWorld(), scene, seed=seed)
         self.reset(self.rest if joint_position is None else joint_position)
         self._sensors = self.read_sensors()
 

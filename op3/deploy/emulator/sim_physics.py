@@ -11,9 +11,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.physics import PERIOD
-from op3.robot import BoardMotion, RobotEntity, WeightSchedule, board_drive, build_scene, place_tiles, tile_ids
+from op3.robot import RobotEntity
 from op3.robot.register_units import GRAVITY
-from op3.robot.scenes import Scene
+from op3.scenes import BoardMotion, WeightSchedule, board_drive, build_scene, place_tiles, tile_ids
+from op3.scenes.scene import Scene
 from op3.servo import RobotModel, Stage, Trunk
 from op3.servo.effects import Motor
 from op3.sim import BatchSimulation, attach_servos
@@ -68,7 +69,7 @@ class SimPhysics(BatchSimulation):
 
     Args:
         model: of the robot; see `op3.sim.load_model`.
-        scene: a name that `op3.robot.build_scene` knows, or a scene without servos attached.
+        scene: a name that `op3.scenes.build_scene` knows, or a scene without servos attached.
         joint_position: [joint] in rad at the start; by default home.
 
     Attributes:

@@ -16,7 +16,7 @@ from op3.rollout.health.finding import (
     POSITION,
     VELOCITY,
     WARNING,
-    Finding,
+    LogFinding,
     View,
     check,
 )
@@ -69,7 +69,7 @@ def _exchanged(view: View) -> dict[int, int]:
 
 
 @check("position against command")
-def command(view: View) -> Iterator[Finding]:
+def command(view: View) -> Iterator[LogFinding]:
     """Position and command differ in unit or sign, belong to different joints, or the command says how far to go."""
     exchanged = _exchanged(view)
     wrong = WARNING if view.metadata.fallen else ERROR  # limbs of a robot that falls are flung about
@@ -177,7 +177,7 @@ def _small(values: np.ndarray) -> np.ndarray:
 
 
 @check("lost turns")
-def lost_turns(view: View) -> Iterator[Finding]:
+def lost_turns(view: View) -> Iterator[LogFinding]:
     """A position or target jumps by whole turns: it was wrapped, or the encoder lost count."""
     for key, values in ((POSITION, view.position), (COMMAND, view.command)):
         steps = np.diff(values, axis=0)
@@ -196,7 +196,7 @@ def lost_turns(view: View) -> Iterator[Finding]:
 
 
 @check("a turn off")
-def a_turn_off(view: View) -> Iterator[Finding]:
+def a_turn_off(view: View) -> Iterator[LogFinding]:
     """A position is whole turns away from its command."""
     error = view.position - view.command
     if not view.driven.all() and view.driven.any(0).all():
@@ -211,7 +211,7 @@ def a_turn_off(view: View) -> Iterator[Finding]:
 
 
 @check("limits of the robot")
-def beyond_limits(view: View) -> Iterator[Finding]:
+def beyond_limits(view: View) -> Iterator[LogFinding]:
     """A joint is mostly where its robot's file says that it cannot go: its sign or its zero is another."""
     if view.metadata.robot_file is None:
         return
@@ -263,7 +263,7 @@ def _outside(mean: float, robot: Robot, joint: str) -> bool:
 
 
 @check("constant offset", unless=("position against command",))
-def constant_offset(view: View) -> Iterator[Finding]:
+def constant_offset(view: View) -> Iterator[LogFinding]:
     """A joint stands off its command by the same angle in every pose: a homing offset, another zero, or a sign.
 
     Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.

@@ -14,7 +14,7 @@ from op3.rollout.health.finding import (
     RATE,
     VELOCITY,
     WARNING,
-    Finding,
+    LogFinding,
     View,
     check,
 )
@@ -42,7 +42,7 @@ _SPLIT = "split the file there, or write `split: true` into its YAML to read the
 
 
 @check("time jumps")
-def jumps(view: View) -> Iterator[Finding]:
+def jumps(view: View) -> Iterator[LogFinding]:
     """The clock was set during the recording, or rows are missing."""
     for row in holes(view.time)[:3]:
         before, now = view.time[row - 1], view.time[row]
@@ -64,7 +64,7 @@ def _goes_on(view: View, row: int) -> bool:
 
 
 @check("rate")
-def rate(view: View) -> Iterator[Finding]:
+def rate(view: View) -> Iterator[LogFinding]:
     """The rows come at another rate than the metadata says, or at one that no robot has."""
     if len(view.time) < 3:
         return
@@ -97,7 +97,7 @@ def rate(view: View) -> Iterator[Finding]:
 
 
 @check("uneven rows")
-def uneven(view: View) -> Iterator[Finding]:
+def uneven(view: View) -> Iterator[LogFinding]:
     """Rows are missing, many intervals are several times the usual one, the rate changes, or rows come in bursts."""
     steps = np.diff(view.time)
     if len(steps) <= 50:
@@ -124,7 +124,7 @@ def uneven(view: View) -> Iterator[Finding]:
 
 
 @check("repeated rows")
-def repeated(view: View) -> Iterator[Finding]:
+def repeated(view: View) -> Iterator[LogFinding]:
     """All sensors keep their numbers while a joint moves: the recorder wrote one reading again and again."""
     same = np.ones(max(len(view.time) - 1, 0), bool)
     for key in (key for key in view.log.channels if key[0] in ("joint", "imu")):
@@ -149,7 +149,7 @@ def repeated(view: View) -> Iterator[Finding]:
 
 
 @check("stale readings")
-def stale(view: View) -> Iterator[Finding]:
+def stale(view: View) -> Iterator[LogFinding]:
     """A position, or a sensor of the trunk, gets new numbers only in every so many rows: it was read more rarely."""
     remedy = "read it in every row, or record fewer rows"
     trunk = {key: values for key in (ORIENTATION, RATE, FORCE) if (values := view.get(key)) is not None}
@@ -177,7 +177,7 @@ def _new_in_every(values: np.ndarray) -> int:
 
 
 @check("two clocks")
-def two_clocks(view: View) -> Iterator[Finding]:
+def two_clocks(view: View) -> Iterator[LogFinding]:
     """Command and position were stamped by different clocks: their delay is long, or grows."""
     stride = max(1, round(0.02 / view.interval))
     angle, told, period = view.position[::stride], view.command[::stride], stride * view.interval

@@ -28,7 +28,7 @@ ERROR, WARNING = "error", "warning"
 
 
 @dataclass(frozen=True)
-class Finding:
+class LogFinding:
     """Something about a log that is wrong or suspicious.
 
     Attributes:
@@ -127,13 +127,13 @@ class View:
         remedy: str,
         *rows: SupportsInt,
         aside: bool = False,
-    ) -> Finding:
+    ) -> LogFinding:
         """A finding.
 
         Args:
             severity: `ERROR` or `WARNING`.
             where: Column of the wide CSV, or its channel and index.
-            problem: See `Finding`.
+            problem: See `LogFinding`.
             remedy: The same.
             rows: The row, or the first and the last, counted from 0; none for all.
             aside: Whether the column is not to be used.
@@ -142,10 +142,10 @@ class View:
         span = (int(rows[0]), int(rows[-1])) if rows else None
         times = (float(self.time[span[0]]), float(self.time[span[1]])) if span else None
         counted = (span[0] + 1, span[1] + 1) if span else None
-        return Finding(severity, problem, remedy, column, counted, times, aside)
+        return LogFinding(severity, problem, remedy, column, counted, times, aside)
 
 
-Check = Callable[[View], Iterable[Finding]]
+Check = Callable[[View], Iterable[LogFinding]]
 
 CHECKS: dict[str, Check] = {}
 """Every check by its name; a check's docstring is its line in the documentation."""
@@ -165,16 +165,16 @@ def check(name: str, unless: tuple[str, ...] = ()) -> Callable[[Check], Check]:
     return enter
 
 
-def examine(log: Rollout) -> tuple[Finding, ...]:
+def examine(log: Rollout) -> tuple[LogFinding, ...]:
     """Everything that the checks find in a log, errors first."""
     with np.errstate(all="ignore"):  # what overflows is refused by its bound
         found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
     return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
 
 
-def told_together(findings: Sequence[Finding]) -> list[Finding]:
+def told_together(findings: Sequence[LogFinding]) -> list[LogFinding]:
     """What is found alike in several joints, told once: where it differs in its numbers only, it has one cause."""
-    alike: dict[tuple, list[Finding]] = {}
+    alike: dict[tuple, list[LogFinding]] = {}
     for number, one in enumerate(findings):
         joint, _, channel = (one.column or "").rpartition(".")
         words = tuple(re.sub(r"(?<!\w)-?\d[\d.e+-]*", "#", text) for text in (one.problem, one.remedy))
@@ -187,7 +187,7 @@ def told_together(findings: Sequence[Finding]) -> list[Finding]:
     return told
 
 
-def _findings(view: View) -> Iterator[Finding]:
+def _findings(view: View) -> Iterator[LogFinding]:
     aside = {finding.column for finding in view.log.findings if finding.set_aside}
     told: set[str] = set()
     for name, function in CHECKS.items():

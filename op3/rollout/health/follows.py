@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, Finding, View, check
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, LogFinding, View, check
 from op3.rollout.health.match import SURE, delayed, longest_run, match
 from op3.rollout.metadata import HOLDING
 
@@ -28,7 +28,7 @@ _CLOSES, _WITHIN = 0.15, 0.1
 
 
 @check("lets go", unless=("position against command", "two clocks", "time jumps", "stale readings"))
-def lets_go(view: View) -> Iterator[Finding]:
+def lets_go(view: View) -> Iterator[LogFinding]:
     """For a while a joint takes no current where its error asks for it, or moves otherwise than its command lets expect
     from the rest of the log, while the other joints do not."""
     if len(view.time) < 50 or view.metadata.fallen:
@@ -68,7 +68,7 @@ def _without(values: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interva
     return (first, first + length - 1) if given and length >= max(3, round(_LETS_GO / interval)) else None
 
 
-def _off_its_way(view: View, told: set[int]) -> Iterator[Finding]:
+def _off_its_way(view: View, told: set[int]) -> Iterator[LogFinding]:
     stride = max(1, round(_PERIOD / view.interval))
     angle, target, driven = (table[::stride] for table in (view.position, view.command, view.driven))
     asked = np.ptp(target, axis=0) > 0.1
@@ -118,7 +118,7 @@ def _unexplained(angle: np.ndarray, target: np.ndarray, period: float) -> tuple[
 
 
 @check("position without its command", unless=("position against command", "two clocks", "stands still", "lets go"))
-def unrelated(view: View) -> Iterator[Finding]:
+def unrelated(view: View) -> Iterator[LogFinding]:
     """A position does not follow its command at any delay: it is another joint's or recording's, or the
     command is a torque. Not on its feet, where the weight moves soft joints against their commands."""
     if view.metadata.mount not in HOLDING:

@@ -16,7 +16,7 @@ from op3.rollout.health.finding import (
     RATE,
     VELOCITY,
     WARNING,
-    Finding,
+    LogFinding,
     View,
     check,
 )
@@ -29,7 +29,7 @@ _LEAST |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
 
 
 @check("copied channels")
-def copied(view: View) -> Iterator[Finding]:
+def copied(view: View) -> Iterator[LogFinding]:
     """Two joints have the same numbers in every row."""
     seen: dict[tuple[str, bytes], int] = {}
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT):
@@ -54,7 +54,7 @@ def _fits(view: View, kind: str, joint: int) -> bool:
 
 
 @check("command instead of position")
-def not_measured(view: View) -> Iterator[Finding]:
+def not_measured(view: View) -> Iterator[LogFinding]:
     """A position is the command itself, number by number: what was told was recorded, and not what was read."""
     angle, told = view.position, view.command
     rounding = np.minimum(0.51 * view.steps(POSITION), np.pi / 1024)  # of an encoder
@@ -73,7 +73,7 @@ def not_measured(view: View) -> Iterator[Finding]:
 
 
 @check("register without its sign")
-def unsigned(view: View) -> Iterator[Finding]:
+def unsigned(view: View) -> Iterator[LogFinding]:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, ("joint", "load")):
         size = float(view.steps(key)[index]) or _counted(column, CHANNELS[key].quantity.unit)
@@ -112,7 +112,7 @@ def _counted(column: np.ndarray, si_unit: str) -> float:
 
 
 @check("single readings")
-def spikes(view: View) -> Iterator[Finding]:
+def spikes(view: View) -> Iterator[LogFinding]:
     """A reading leaps away for a row and comes back, or a target for up to three rows."""
     for key, index, column in view.columns(POSITION, COMMAND, *_LEAST):
         column = np.unwrap(column) if key == ORIENTATION else column
@@ -142,7 +142,7 @@ def spikes(view: View) -> Iterator[Finding]:
 
 
 @check("zeros")
-def zeros(view: View) -> Iterator[Finding]:
+def zeros(view: View) -> Iterator[LogFinding]:
     """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there. Or a
     target is 0 there, where none was sent."""
     for key, joint, column in view.columns(VELOCITY, COMMAND):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, LogFinding, View, check
 from op3.rollout.health.match import SURE, match_rates
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
@@ -33,7 +33,7 @@ _ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
 
 
 @check("coarse steps")
-def coarse(view: View) -> Iterator[Finding]:
+def coarse(view: View) -> Iterator[LogFinding]:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
     make = view.make
     exact = view.position_unit
@@ -64,7 +64,7 @@ def coarse(view: View) -> Iterator[Finding]:
 
 
 @check("bounds")
-def bounds(view: View) -> Iterator[Finding]:
+def bounds(view: View) -> Iterator[LogFinding]:
     """A value is beyond what its unit allows, in single rows or throughout."""
     for key in view.log.channels:
         quantity, values = CHANNELS[key].quantity, view.log.array(key)
@@ -121,7 +121,7 @@ def _likely(values: np.ndarray, mistake: str) -> str:
 
 
 @check("impossible speed", unless=("bounds",))
-def impossible_speed(view: View) -> Iterator[Finding]:
+def impossible_speed(view: View) -> Iterator[LogFinding]:
     """A position moves further from row to row than any servo does, or leaps where it moves evenly before and after."""
     steps, taken = np.diff(view.position, axis=0), np.diff(view.time)
     if not len(steps):

@@ -8,7 +8,7 @@ import numpy as np
 
 from op3.robot.servo_make import load_servo, servo_files
 from op3.rollout.errors import LogError, rename
-from op3.rollout.health.finding import ERROR, WARNING, Finding, View, check
+from op3.rollout.health.finding import ERROR, WARNING, LogFinding, View, check
 from op3.rollout.health.match import integral, windows
 from op3.rollout.units import likely_unit, plausible_unit
 
@@ -27,7 +27,7 @@ _HOTTEST = 95.0
 
 
 @check("plausible metadata")
-def plausible(view: View) -> Iterator[Finding]:
+def plausible(view: View) -> Iterator[LogFinding]:
     """Mass, length or battery is far from that of any robot or bench, or from the voltage; the likely unit is named."""
     for name, (unit, least, most, typical) in _PLAUSIBLE.items():
         value = getattr(view.metadata, name)
@@ -47,7 +47,7 @@ def plausible(view: View) -> Iterator[Finding]:
 
 
 @check("spelling of joints")
-def spelling(view: View) -> Iterator[Finding]:
+def spelling(view: View) -> Iterator[LogFinding]:
     """Two joints differ in capital letters only: one joint that is spelled in two ways."""
     lower = [joint.lower() for joint in view.joints]
     for one, other in ((a, b) for i, a in enumerate(lower) for b in range(i + 1, len(lower)) if lower[b] == a):
@@ -56,7 +56,7 @@ def spelling(view: View) -> Iterator[Finding]:
 
 
 @check("wrong robot")
-def robot(view: View) -> Iterator[Finding]:
+def robot(view: View) -> Iterator[LogFinding]:
     """The robot that the metadata name is not there, or joints of the log are none of its."""
     if view.metadata.robot_file is None:
         return
@@ -72,7 +72,7 @@ def robot(view: View) -> Iterator[Finding]:
 
 
 @check("unknown servo")
-def servo(view: View) -> Iterator[Finding]:
+def servo(view: View) -> Iterator[LogFinding]:
     """The servo that the metadata name has no file, so that nothing is known of its law and its units, or is none of
     those of the robot that they name."""
     if (name := view.metadata.servo) is None:
@@ -96,7 +96,7 @@ as friction and the arm come to the mass."""
 
 
 @check("weight of the pendulum", unless=("two clocks",))
-def weight(view: View) -> Iterator[Finding]:
+def weight(view: View) -> Iterator[LogFinding]:
     """A servo pushes with far less or more than its pendulum weighs: mass, length, gain or supply are others."""
     about, gain, make = view.metadata, view.duty_gain, view.make
     if about.mount != "pendulum" or gain is None or make is None or len(view.time) < 100:
@@ -126,14 +126,14 @@ def weight(view: View) -> Iterator[Finding]:
 
 
 @check("few rows")
-def few(view: View) -> Iterator[Finding]:
+def few(view: View) -> Iterator[LogFinding]:
     """So few rows that most checks say nothing."""
     if len(view.time) < 20:
         yield view.found(WARNING, "time", f"{len(view.time)} rows are too few to be checked", "record for longer")
 
 
 @check("gains")
-def gains(view: View) -> Iterator[Finding]:
+def gains(view: View) -> Iterator[LogFinding]:
     """A gain in the columns is not the one in the metadata, or P and D gains were exchanged."""
     for name in ("firmware_gain", "p_gain", "d_gain"):
         key, said = ("command", name), getattr(view.metadata, name)
@@ -153,7 +153,7 @@ def gains(view: View) -> Iterator[Finding]:
 
 
 @check("supply and temperature")
-def supply(view: View) -> Iterator[Finding]:
+def supply(view: View) -> Iterator[LogFinding]:
     """Voltage is far from the battery's, or a temperature is none of a servo that works."""
     servos, told, shares = view.log.servos, view.metadata.battery, dict[str, float]()
     volts = view.get(("joint", "voltage"))

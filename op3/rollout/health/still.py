@@ -17,7 +17,7 @@ from op3.rollout.health.finding import (
     RATE,
     VELOCITY,
     WARNING,
-    Finding,
+    LogFinding,
     View,
     check,
 )
@@ -35,7 +35,7 @@ _SETTLES = 0.5
 
 
 @check("saturated", unless=("stale readings",))
-def saturated(view: View) -> Iterator[Finding]:
+def saturated(view: View) -> Iterator[LogFinding]:
     """A rate or acceleration is cut off at its largest number."""
     for key, index, column in view.columns(VELOCITY, RATE, FORCE):
         top, size = np.abs(column).max(), float(view.steps(key)[index])
@@ -60,7 +60,7 @@ def saturated(view: View) -> Iterator[Finding]:
 
 
 @check("stands still")
-def stands_still(view: View) -> Iterator[Finding]:
+def stands_still(view: View) -> Iterator[LogFinding]:
     """A channel keeps one number while the joint moves, or a position while its command travels far."""
     rows = round(0.2 / view.interval) if len(view.time) > 20 else 0
     if rows:
@@ -93,7 +93,7 @@ def _follows(view: View, joint: int, rows: np.ndarray) -> bool:
     return after > SURE and 1 - after < 0.5 * (1 - before) and 0.5 < np.ptp(angle) / np.ptp(told) < 2
 
 
-def _commands_stop(view: View) -> Iterator[Finding]:
+def _commands_stop(view: View) -> Iterator[LogFinding]:
     """A target does not change any more, and its joint goes on as before: what was sent was not recorded."""
     stopped = np.diff(view.command, axis=0) == 0
     told, error = np.ptp(view.command, axis=0), np.abs(view.position - view.command)
@@ -113,7 +113,7 @@ def _commands_stop(view: View) -> Iterator[Finding]:
             yield view.found(WARNING, (COMMAND, joint), problem, remedy, first, last)
 
 
-def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[Finding]:
+def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[LogFinding]:
     first, length = longest_run(np.diff(velocity) == 0)
     if length <= 2 * rows:
         return
@@ -129,7 +129,7 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
         yield view.found(WARNING, where, problem, "the channel is not used", first, first + length, aside=True)
 
 
-def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[Finding]:
+def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[LogFinding]:
     first, length = longest_run(np.diff(position) == 0)
     last = first + length
     rows = slice(first, last + 1)
@@ -154,7 +154,7 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[F
     yield view.found(severity, (POSITION, joint), problem, remedy, first, last, aside=aside)
 
 
-def _hardly_moves(view: View, joint: int) -> Iterator[Finding]:
+def _hardly_moves(view: View, joint: int) -> Iterator[LogFinding]:
     """A position that stays within some steps of its sensor for a while, in which its command travels far."""
     rows, heed = (round(seconds / view.interval) for seconds in (_STANDS, _HEEDED))
     if len(view.time) <= rows or not view.driven[:, joint].all():
@@ -190,7 +190,7 @@ def _follows_elsewhere(view: View, joint: int, stands: slice, told: float, dead:
     return bool(asked.max() > 0.7 * told and told > 1.5 * error.max())
 
 
-def _stops(view: View, rows: int) -> Iterator[Finding]:
+def _stops(view: View, rows: int) -> Iterator[LogFinding]:
     """Currents and inertial sensors that keep their numbers for far longer than ever else, while a joint moves."""
     turned = turned_by_gyroscope(view)
     for key in (CURRENT, ORIENTATION, RATE, FORCE):
@@ -235,7 +235,7 @@ def turned_by_gyroscope(view: View) -> np.ndarray:
     return integral(view.time, rates - np.median(rates, axis=0))
 
 
-def _dead(view: View) -> Iterator[Finding]:
+def _dead(view: View) -> Iterator[LogFinding]:
     """Channels that hold one number throughout, where they cannot."""
     moves = np.ptp(view.position, axis=0) > 0.2
     angles = view.get(ORIENTATION)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, Finding, View, check
+from op3.rollout.health.finding import ERROR, POSITION, VELOCITY, WARNING, LogFinding, View, check
 from op3.rollout.health.match import (
     SURE,
     WINDOW,
@@ -145,7 +145,7 @@ def _halves(causes: np.ndarray, told: np.ndarray) -> tuple[float, float]:
 
 
 @check("velocity against position")
-def velocity(view: View) -> Iterator[Finding]:
+def velocity(view: View) -> Iterator[LogFinding]:
     """Velocity and the derivative of position differ in factor, sign, delay or zero, part for a moment, or belong to
     different joints."""
     rate, angle = view.get(VELOCITY), view.position
@@ -196,7 +196,7 @@ def _scaled(view: View, joint: int, ratio: float) -> float | None:
     return moves if told.correlation[0, 0] > SURE and abs(np.log(max(moves * ratio, 1e-9))) < 0.15 else None
 
 
-def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[Finding]:
+def _differs(view: View, joint: int, trace: Trace, moves: bool) -> Iterator[LogFinding]:
     """What the trace of a joint shows; factor and delay only where it moves."""
     where, unused = (VELOCITY, joint), "the channel is not used; correct it where you know how"
     uncertain, speed = 4 * trace.errors, view.log.array(VELOCITY)[:, joint]

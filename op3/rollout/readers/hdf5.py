@@ -14,7 +14,7 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.guess import guess_all
-from op3.rollout.health.finding import WARNING, Finding
+from op3.rollout.health.finding import WARNING, LogFinding
 from op3.rollout.readers.npz import columns_of
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 
@@ -43,7 +43,7 @@ class Hdf5:
         rows = max(set(long), key=long.count, default=0)
         if rows < 2:
             raise LogError("there are no arrays of several times", "save arrays [time, joint]", source=path)
-        doubts: list[Finding] = []
+        doubts: list[LogFinding] = []
         time = next((content.pop(n).reshape(-1) for n in _TIMES if n in content), None)
         if time is None:
             rate = next((float(about[n]) for n in ("fps", "rate", "hz") if _positive(about.get(n))), 0.0)
@@ -51,7 +51,7 @@ class Hdf5:
                 rate = _RATE
                 problem = f"no times are in the file, and {_RATE:g} rows per second are assumed, as ALOHA records them"
                 remedy = "save `time` [s], or an attribute `fps`"
-                doubts.append(Finding(WARNING, problem, remedy, "time", check="times"))
+                doubts.append(LogFinding(WARNING, problem, remedy, "time", check="times"))
             time = np.arange(rows) / rate
         width = next((array.shape[1] for name, array in content.items() if name == "qpos"), 0)
         joints = [str(one) for name in _NAMES for one in np.atleast_1d(about.get(name, []))]

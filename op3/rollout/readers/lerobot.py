@@ -19,7 +19,7 @@ import numpy as np
 
 from op3.rollout.errors import LogError
 from op3.rollout.guess import guess, guess_all
-from op3.rollout.health.finding import ERROR, WARNING, Finding
+from op3.rollout.health.finding import ERROR, WARNING, LogFinding
 from op3.rollout.health.match import step
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
@@ -84,7 +84,7 @@ class LeRobot:
             about["firmware_gain"] = _GAIN
             problem = f"LeRobot writes a gain of {_GAIN:g} to the servos of {kind}, which is assumed here"
             remedy = "write `firmware_gain:` into its YAML if another was set"
-            doubts.append(Finding(WARNING, problem, remedy, "field firmware_gain", check="gain of LeRobot"))
+            doubts.append(LogFinding(WARNING, problem, remedy, "field firmware_gain", check="gain of LeRobot"))
         recordings = []
         for number in np.unique(episode):
             rows = np.flatnonzero(episode == number)
@@ -215,7 +215,7 @@ def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _R
 
 def _body_unit(
     joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range], said: str | None
-) -> tuple[str, str, Finding | None]:
+) -> tuple[str, str, LogFinding | None]:
     """The unit of the body's joints, what says so, and the doubt that is left of it."""
     if said is not None:
         return said, "info.json says so", None
@@ -246,7 +246,7 @@ def _body_unit(
         )
         problem += "they are normalised to the joints' ranges, which nothing here says"
         remedy = "copy LeRobot's calibration file there as calibration.json"
-        return "deg", "nothing else is known", Finding(ERROR, problem, remedy, check="unit of LeRobot")
+        return "deg", "nothing else is known", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
     if "rad" in units:
         return "rad", "hardly a number is as large as a turn in radians", None
     problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
@@ -254,12 +254,12 @@ def _body_unit(
     if not ranges:
         remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"
     why = "degrees, as nothing says what they are; numbers of -100 to 100 may be normalised to a range"
-    return "deg", why, Finding(WARNING, problem, remedy, check="unit of LeRobot")
+    return "deg", why, LogFinding(WARNING, problem, remedy, check="unit of LeRobot")
 
 
 def _units(
     columns: dict[str, np.ndarray], meanings: dict[str, Column], info: dict[str, Any], path: Path
-) -> list[Finding]:
+) -> list[LogFinding]:
     """Give positions and targets their unit; what remains doubtful is handed back."""
     angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
     named = {name: next((u for u in map(canonical, _words(name)) if u in ("deg", "rad")), None) for name in angles}
@@ -296,7 +296,7 @@ def _units(
                 problem = f"a gripper's numbers of {low:.4g} to {high:.4g} are read as degrees; LeRobot's run from 0 to"
                 problem += " 100 over its range"
                 remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
-                doubts.insert(0, Finding(WARNING, problem, remedy, name, check="unit of LeRobot"))
+                doubts.insert(0, LogFinding(WARNING, problem, remedy, name, check="unit of LeRobot"))
         elif unit == "normalised" and not span:
             problem = "the numbers are normalised to the joint's range, which nothing here says"
             raise LogError(

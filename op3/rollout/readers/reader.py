@@ -16,10 +16,10 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from op3.common.settings import Number, settings
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import Finding
+from op3.rollout.health.finding import LogFinding
 from op3.rollout.rollout import Rollout
-from op3.settings import Number, settings
 
 
 @settings("the entry")
@@ -72,7 +72,7 @@ class Recording:
     columns: dict[str, Column] = field(default_factory=dict)
     name: str = ""
     strict: bool = False
-    doubts: Sequence[Finding] = ()
+    doubts: Sequence[LogFinding] = ()
 
 
 def needed(module: str, extra: str, path: Path) -> Any:

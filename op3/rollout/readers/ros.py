@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import WARNING, Finding
+from op3.rollout.health.finding import WARNING, LogFinding
 from op3.rollout.readers.reader import Recording, Stream, needed
 
 _COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
@@ -91,7 +91,7 @@ class Ros:
                 if points is not None:
                     order = [list(told).index(column) for column in columns]
                     topic.paths.append((points[0], points[1][:, order]))
-        doubts: list[Finding] = []
+        doubts: list[LogFinding] = []
         _one_publisher(topics := list(found.values()), path, doubts)
         streams = _streams(_one_source([topic for topic in topics if topic.rows], path), path, doubts)
         if not streams:
@@ -108,7 +108,7 @@ def is_bag(folder: Path) -> bool:
     return about.is_file() and b"rosbag2_bagfile_information" in about.read_bytes()[:200]
 
 
-def _one_publisher(topics: list[Topic], path: Path, doubts: list[Finding]) -> None:
+def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> None:
     """Leave out messages of zeros that a second publisher puts between a topic's others; refuse where both differ."""
     for topic in (one for one in topics if one.ends("position") and len(one.rows) >= 20):
         table = np.array(topic.rows)
@@ -132,7 +132,7 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[Finding]) -> No
         if foreign.any():
             raise LogError(problem, "stop one of them, and record again", source=path, column=topic.columns[0])
         remedy = "these are zeros and left out; stop the publisher that sends them"
-        doubts.append(Finding(WARNING, problem, remedy, topic.columns[0], check="two publishers"))
+        doubts.append(LogFinding(WARNING, problem, remedy, topic.columns[0], check="two publishers"))
         gone = set(table[other, 1].tolist())
         for part in topics:
             if part.name == topic.name:
@@ -255,7 +255,7 @@ def _imu(message: Any) -> dict[str, float]:
     return told
 
 
-def _streams(topics: list[Topic], path: Path, doubts: list[Finding]) -> list[Stream]:
+def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[Stream]:
     """Streams on one clock, with trajectories as they are followed and arrays in the order of the joints."""
     streams: list[Stream] = []
     clocks = _clocks(topics)
@@ -320,7 +320,7 @@ def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np
 
 
 def _order(
-    topic: Topic, time: np.ndarray, values: np.ndarray, streams: list[Stream], path: Path, doubts: list[Finding]
+    topic: Topic, time: np.ndarray, values: np.ndarray, streams: list[Stream], path: Path, doubts: list[LogFinding]
 ) -> tuple[str, ...]:
     """Whose targets the numbers of an array are: of the joints whose positions come nearest to them.
 
@@ -356,5 +356,5 @@ def _order(
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
         problem = f"the numbers of {topic.name} are in another order than the states: {order}, by which they follow"
         remedy = "correct the names under `columns:` if that is wrong"
-        doubts.append(Finding(WARNING, problem, remedy, check="order of joints"))
+        doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from torch import Tensor
 
-from op3.servo.effect import Clock, Effect, Parameter, Stage, Usual, register
+from op3.servo.effect import Effect, Parameter, Periods, Stage, Usual, register
 from op3.servo.law import CURRENT, acted, clip, lifted_voltage
 
 
@@ -90,7 +90,7 @@ class Latency(Effect):
             )
         return values
 
-    def depth(self, clock: Clock) -> int:
+    def depth(self, clock: Periods) -> int:
         """Commands that can be on their way, and the one in force."""
         return ceil(self.longest / clock.period - 1e-9) + 1
 

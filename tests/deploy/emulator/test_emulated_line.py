@@ -11,10 +11,10 @@ from op3.deploy.emulator import (
     BrownOut,
     Faults,
     HardwareFault,
+    LineTiming,
     Silent,
     SimPhysics,
     StandInPhysics,
-    Timing,
     read_frames,
 )
 from op3.deploy.protocol import Parser, encode
@@ -46,7 +46,7 @@ def tick(bench, address=126, length=10):
         # 500 us before each of 21 answers
         ({"settings": {"baud_rate": 4, "return_delay_time": 250}}, 0.014, 0.020),
         # 16 ms until the adapter sends the last bytes of each read
-        ({"timing": Timing(latency_timer=0.016)}, 0.012, 0.040),
+        ({"timing": LineTiming(latency_timer=0.016)}, 0.012, 0.040),
     ],
     ids=["robot", "factory return delay", "latency timer of Linux"],
 )

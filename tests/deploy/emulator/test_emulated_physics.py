@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from op3.deploy.emulator import SimPhysics, StandInPhysics
-from op3.robot import build_scene, pose
+from op3.robot import pose
+from op3.scenes import build_scene
 from op3.sim import BatchSimulation, attach_servos, load_model
-from op3.stand_in import StandIn, World
+from op3.stand_in import HiddenWorld, StandIn
 from tests.op3_table import JOINTS
 
 KNEE = JOINTS.index("l_knee")
@@ -18,7 +19,7 @@ def drive(physics, current=0.0, enabled=True):
 
 
 def hanging(kind):
-    return SimPhysics(load_model("paper"), "stand") if kind == "sim" else StandInPhysics(World(), "stand")
+    return SimPhysics(load_model("paper"), "stand") if kind == "sim" else StandInPhysics(HiddenWorld(), "stand")
 
 
 @pytest.mark.parametrize("kind", ["sim", "stand_in"])
@@ -82,7 +83,7 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
 
 def test_the_stand_in_behind_the_bus_is_the_stand_in():
     """The same currents move it as they move a stand-in of its own."""
-    physics, direct = StandInPhysics(World(), seed=3), StandIn(World(), seed=3)
+    physics, direct = StandInPhysics(HiddenWorld(), seed=3), StandIn(HiddenWorld(), seed=3)
     direct.reset(pose("stand"))
     sensors = direct.read_sensors()  # a reading draws from the same random numbers as the servos do
     for number in range(50):

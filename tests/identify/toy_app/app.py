@@ -8,7 +8,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 
 from op3.identify.registration import register
-from op3.identify.study import Outcome
+from op3.identify.study import TrialOutcome
 from op3.identify.sweeper import sweep_or_report
 
 register()
@@ -16,7 +16,7 @@ register()
 
 def bowl(parameters):
     """Return the bowl's height above its bottom at (0.3, ..., 0.3)."""
-    return Outcome((sum((value - 0.3) ** 2 for value in parameters.values()),), {"pid": os.getpid()})
+    return TrialOutcome((sum((value - 0.3) ** 2 for value in parameters.values()),), {"pid": os.getpid()})
 
 
 @hydra.main(config_path="conf", config_name="config", version_base="1.3")

@@ -1,0 +1,152 @@
+"""What the commands are, and what they take: the overview, the help of each, and bash's completion."""
+
+import ast
+import importlib.resources
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+COMMANDS: Mapping[str, str] = {
+    "demo": "sim2real",
+    "demo diagnose": "demo_diagnose",
+    "collect": "collect",
+    "check": "check",
+    "import": "import_log",
+    "identify": "identify",
+    "predict": "predict",
+    "diagnose": "diagnose",
+    "design": "design_excitation",
+    "train": "train",
+    "evaluate": "evaluate",
+    "compliance": "compliance",
+    "deploy": "deploy",
+    "reidentify": "reidentify",
+    "sim2real": "sim2real",
+    "transfers": "transfer_table",
+    "view": "view",
+    "emulate": "emulate_robot",
+    "compare": "compare_runs",
+}
+"""Module in `op3.apps`, and config, of each command."""
+
+PRESETS: Mapping[str, Sequence[str]] = {
+    "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
+}
+"""Overrides that a command begins with."""
+
+
+def files() -> Path:
+    """The folder that holds ``experiments/`` and ``conf/``: the checkout, or the part of an installed wheel."""
+    package = Path(str(importlib.resources.files("op3")))
+    return package / "_files" if (package / "_files").is_dir() else package.parent
+
+
+def config_file(config: str) -> Path:
+    """The file of a config, named as from ``conf/``."""
+    return files() / "conf" / f"{config}.yaml"
+
+
+def documentation(app: str) -> str:
+    """The docstring of a command's module in `op3.apps`, which is not imported for it."""
+    path = Path(__file__).parent / f"{app}.py"
+    return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+
+
+def asked_for(config: str) -> str | None:
+    """The setting that a command cannot do without, whose name may be left out: ``op3 view <log>``."""
+    found = re.search(r"^(\w+): \?\?\?", config_file(config).read_text(encoding="utf-8"), re.MULTILINE)
+    return found and found[1]
+
+
+def overview() -> str:
+    """What ``op3 --help`` prints."""
+    rows = [f"  {name:15s}{documentation(app).splitlines()[0]}" for name, app in COMMANDS.items() if name != "demo"]
+    return "\n".join(
+        [
+            "op3: servo-driven robots from simulation to reality.",
+            "",
+            "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
+            "",
+            f"  {'demo':15s}The whole method on an emulated robot at a small budget; one HTML page.",
+            *rows,
+            f"  {'doctor':15s}What this machine has, and what to do about what is missing.",
+            f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',
+            f"  {'--version':15s}The version of op3.",
+        ]
+    )
+
+
+def completion() -> str:
+    """A bash function that completes commands, settings and the names in config groups."""
+    words = {name: settings_of(app) for name, app in COMMANDS.items()}
+    for name in [name for name in words if " " in name]:
+        first, second = name.split()
+        words[first] = [second, *words[first], *words.pop(name)]
+    cases = "\n".join(f'    {name}) words="{" ".join(dict.fromkeys(each))}" ;;' for name, each in words.items())
+    commands = " ".join([*words, "doctor", "completion"])
+    # bash takes `=` for the end of a word: what stands before it is not to be written again
+    return (
+        "_op3() {\n"
+        '  local words line="${COMP_LINE:0:COMP_POINT}"\n'
+        '  local current="${line##* }"\n'
+        '  case "${COMP_WORDS[1]}" in\n'
+        f"{cases}\n  esac\n"
+        f'  [ "$COMP_CWORD" = 1 ] && words="{commands}"\n'
+        '  COMPREPLY=($(compgen -W "$words" -- "$current"))\n'
+        '  [[ $current == *=* ]] && COMPREPLY=("${COMPREPLY[@]#*=}")\n'
+        "}\ncomplete -o nospace -o default -F _op3 op3"
+    )
+
+
+def settings_of(config: str) -> list[str]:
+    """Overrides that a config takes: ``group=name`` for every name of its groups, ``setting=`` for its fields."""
+    import yaml
+
+    content = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) or {}
+    chosen = {name: value for e in content.get("defaults", []) if isinstance(e, dict) for name, value in e.items()}
+    choices = []
+    for group, value in chosen.items():
+        written = "{}=[{}]" if isinstance(value, list) else "{}={}"
+        choices += [written.format(group, name) for name in names_in(group)]
+    return [*choices, *(f"{name}=" for name in content if name not in ("defaults", "hydra"))]
+
+
+def names_in(group: str) -> list[str]:
+    """What can be chosen of a group: files in ``conf``, or what the catalogue of effects brings in."""
+    folder = files() / "conf" / group
+    if folder.is_dir():
+        return sorted(file.stem for file in folder.glob("*.yaml"))
+    from hydra.core.config_store import ConfigStore
+
+    from op3.identify.search_groups import register
+
+    register()
+    known = ConfigStore.instance().repo.get(group, {})
+    return sorted(name.removesuffix(".yaml") for name in known)
+
+
+def usage(config: str) -> str:
+    """What ``--help`` of an experiment prints: how it is called, its settings with defaults and units, its groups."""
+    text = config_file(config).read_text(encoding="utf-8")
+    body = re.sub(r"\A(#.*\n)+", "", text)  # how it is called stands in the script's documentation
+    body = re.sub(r"^(defaults|hydra):\n(?: .*\n|\n)*", "", body, flags=re.MULTILINE)
+    body = re.sub(r"\n{3,}", "\n\n", body).strip()
+    groups: dict[str, list[str]] = {}
+    for choice in settings_of(config):
+        name, _, value = choice.partition("=")
+        if value:
+            groups.setdefault(name, []).append(value.strip("[]"))
+    listed = [f"{name}=  {', '.join(values)}" for name, values in groups.items()]
+    called = {experiment: name for name, experiment in COMMANDS.items() if name not in PRESETS}
+    text_of_command = re.sub(
+        r"python experiments/(\w+)\.py",
+        lambda found: f"op3 {called[found[1]]}" if found[1] in called else found[0],
+        documentation(config),
+    )
+    parts = [text_of_command, "Settings, with defaults (setting=value; group.field=value):", body]
+    if listed:
+        parts += ["Groups (group=name):", "\n".join(listed)]
+    if asked := asked_for(config):
+        parts.append(f"`{asked}=` may be left out where it comes first.")
+    parts.append("Several values (seed=0,1,2) run one after the other with -m; --cfg job prints all settings.")
+    return "\n\n".join(parts)

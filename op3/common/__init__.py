@@ -1,0 +1,1 @@
+"""What every room may use: checked settings, names of shipped files, secrets kept out of texts, intervals."""

@@ -1,0 +1,317 @@
+"""Settings and their files, checked by pydantic, with every fault told in one sentence.
+
+A group of settings is a frozen dataclass whose fields have the types below:
+
+    @settings("limits")
+    class Limits:
+        voltage: Positive = 10.0
+        coast_ticks: Whole = 3
+        joints: tuple[str, ...] = ()
+
+    Limits(voltage=-1)  # ValueError: limits: voltage must be above 0, got -1
+
+What fields have to do with each other is checked in ``__post_init__`` as in any dataclass.
+"""
+
+import difflib
+import functools
+import importlib
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
+
+import pydantic
+import pydantic.dataclasses
+import yaml
+from pydantic import AfterValidator, BeforeValidator, Field
+
+
+def _plain(value: Any) -> Any:
+    """Numpy's scalars as Python's; lists of any make, Hydra's too, as tuples."""
+    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
+        return value.item()
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return tuple(value)
+    return value
+
+
+def _unfractioned(value: Any) -> Any:
+    """A float without a fraction, as YAML reads 1e6, as the whole number it is."""
+    value = _plain(value)
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _mapping(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+Number = Annotated[float, BeforeValidator(_plain), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Share = Annotated[Number, Field(ge=0, le=1)]
+Whole = Annotated[int, BeforeValidator(_unfractioned), Field(ge=0)]
+Count = Annotated[int, BeforeValidator(_unfractioned), Field(ge=1)]
+Text = Annotated[str, Field(min_length=1)]
+
+GAIN_LOW = 0.1
+"""Lowest P gain that a policy commands [A/rad] (paper Sec. action space)."""
+
+GAIN_HIGH = 6.0
+"""Highest P gain [A/rad] (paper Sec. action space)."""
+
+CONTROL_PERIOD = 0.008
+"""Time between ticks of the PD on the robot's computer [s] (paper, 125 Hz)."""
+
+Gain = Annotated[Number, Field(ge=GAIN_LOW, le=GAIN_HIGH)]
+
+_Item = TypeVar("_Item")
+_Group = TypeVar("_Group")
+
+Listed = Annotated[tuple[_Item, ...], BeforeValidator(_plain)]
+"""Several of one type: ``Listed[Number]``; a list becomes a tuple."""
+
+Some = Annotated[tuple[_Item, ...], BeforeValidator(_plain), Field(min_length=1)]
+"""The same, at least one."""
+
+Named = Annotated[Mapping[str, _Item], BeforeValidator(_mapping), AfterValidator(dict)]
+"""Values by name: ``Named[Positive]``."""
+
+Raise = Callable[[str, str, Any], Exception]
+"""Makes the error of a field, what it must be, and the value given."""
+
+_WANTED = {
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "at most {le:g}",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_parsing": "true or false",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text (quote it if it looks like a number)",
+    "string_too_short": "a text that is not empty",
+    "literal_error": "one of {expected}",
+    "tuple_type": "a list",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of {max_length}",
+    "mapping_type": "a mapping of names to values",
+    "dict_type": "a mapping of names to values",
+    "dataclass_type": "a mapping of its fields",
+    "model_type": "a mapping of its fields",
+    "invalid_key": "under a name",
+    "string_pattern_mismatch": "a text like {pattern}",
+}
+"""Pydantic's kinds of error in words that follow "must be"."""
+
+
+@dataclass_transform(frozen_default=True)
+def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Group]], type[_Group]]:
+    """Make a class a frozen dataclass whose fields are checked.
+
+    Types are strict: true is no number and "3" is no 3, but a whole number may stand where a number belongs.
+
+    Args:
+        what: the settings are of, said before the field; nothing where the field speaks for itself.
+        raises: makes the error of one field; a ValueError where None.
+    """
+    before = f"{what}: " if what else ""
+
+    def decorate(cls: type[_Group]) -> type[_Group]:
+        config = pydantic.ConfigDict(strict=True, arbitrary_types_allowed=True, extra="forbid")
+        made: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
+        checked = made.__init__
+
+        @functools.wraps(checked)
+        def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+            try:
+                checked(self, *args, **kwargs)
+            except pydantic.ValidationError as error:
+                raise refused(error) from None
+
+        def refused(error: pydantic.ValidationError) -> Exception:
+            place, given, wanted, problem = first_fault(error, made)
+            field = ".".join(map(str, place))
+            if isinstance(problem, Exception):  # a check of ours, which speaks for itself
+                return problem
+            return raises(field, wanted, given) if wanted and raises else ValueError(f"{before}{field} {problem}")
+
+        made.__init__ = __init__
+        return made
+
+    return decorate
+
+
+class Fault(NamedTuple):
+    """Where something is wrong, what it is, what it must be (nothing where that is not the matter), and all of that in
+    words that follow the field's name, or the error of a check of ours."""
+
+    place: tuple[str | int, ...]
+    given: Any
+    wanted: str
+    problem: str | Exception
+
+
+def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
+    """The first that pydantic found in a dataclass or a record of this kind."""
+    detail: Any = max(error.errors(), key=lambda found: found["type"] == "extra_forbidden")  # explains what is missing
+    place, given, name, context = tuple(detail["loc"]), detail["input"], detail["type"], detail.get("ctx", {})
+    place = tuple("/".join(step) if isinstance(step, tuple) else step for step in place)  # a key of several parts
+    if place and isinstance(place[0], int):  # it was given by its place, not by name
+        place = (list(kind.__pydantic_fields__)[place[0]], *place[1:])
+    if name == "value_error":
+        return Fault(place, given, "", context["error"])
+    if name in ("unexpected_keyword_argument", "extra_forbidden"):
+        return Fault(place, given, "", f"is no field{nearest(place[-1], _fields(kind, place))}")
+    if name in ("missing", "missing_argument"):
+        return Fault(place, given, "", "is missing: give it")
+    wanted = _WANTED[name].format(**context) if name in _WANTED else f"as it is described ({detail['msg']})"
+    return Fault(place, given, wanted, f"must be {wanted}, got {shown(given)}")
+
+
+def _fields(kind: Any, place: Sequence[str | int]) -> list[str]:
+    """Fields of the record that an entry stands in."""
+    for step in place[:-1]:
+        known = getattr(kind, "__pydantic_fields__", {})
+        parts = _parts(known[step].annotation if step in known else kind)
+        kind = next((part for part in parts if hasattr(part, "__pydantic_fields__")), parts[0])
+    return list(getattr(kind, "__pydantic_fields__", {}))
+
+
+def _parts(annotation: Any) -> list[Any]:
+    """An annotation and everything between its brackets."""
+    return [annotation, *(part for inner in getattr(annotation, "__args__", ()) for part in _parts(inner))]
+
+
+def shown(value: Any) -> str:
+    """A value as a message quotes it, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """How to go on after an unknown name: the nearest one that exists, else all of them."""
+    known = list(known)
+    close = difflib.get_close_matches(str(name), known, n=1)
+    return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known) or 'none'}"
+
+
+def imported(name: str, where: str) -> Any:
+    """A function or class by its dotted path; a ValueError that names field and nearest where there is none."""
+    module, _, attribute = name.rpartition(".")
+    try:
+        home = importlib.import_module(module)
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"{where}: {name!r} cannot be imported ({error}); correct the path") from None
+    if not callable(found := getattr(home, attribute, None)):
+        known = [key for key in (*vars(home), *getattr(home, "__all__", ())) if callable(getattr(home, key))]
+        raise ValueError(f"{where}: {module} has no function or class {attribute!r}{nearest(attribute, known)}")
+    return found
+
+
+_SCALARS = {
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (r"[-+]?[0-9]+", "-+0123456789"),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+}
+"""Plain values of YAML 1.2, and what they begin with."""
+
+_MOST_ALIASES = 20
+"""Few enough that no text of ours is refused, and that lists of lists of aliases cannot fill the memory."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as people write it: 1e-3 is a number, `on` a name, and a key that stands twice is refused.
+
+    PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; of two equal keys the last wins.
+    """
+
+    yaml_implicit_resolvers: dict[Any, Any] = {}
+    aliases = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self.aliases += self.check_event(yaml.AliasEvent)
+        if self.aliases > _MOST_ALIASES:
+            raise yaml.composer.ComposerError(None, None, "too many aliases", self.peek_event().start_mark)
+        return super().compose_node(parent, index)
+
+    def construct_once(self, node: yaml.MappingNode) -> dict[Any, Any]:
+        """A mapping whose keys differ."""
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            line = key.start_mark.line + 1
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in lines:
+                    raise _Twice(key.value[:60], lines[key.value], line)
+                lines[key.value] = line
+        return self.construct_mapping(node, deep=True)
+
+
+class _Twice(Exception):
+    """A key, and the two lines at which it stands."""
+
+
+for _name, (_pattern, _first_letters) in _SCALARS.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(f"^(?:{_pattern})$"), [*_first_letters])
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(node.value))
+_Loader.add_constructor("tag:yaml.org,2002:map", _Loader.construct_once)
+
+
+def _told(problem: str, remedy: str, *, source: object, column: str | None = None) -> Exception:
+    return ValueError(f"{source}{f', {column}' if column else ''}: {problem}; {remedy}")
+
+
+def read_yaml(path: str | Path, raises: Callable[..., Exception] = _told) -> dict[str, Any]:
+    """The mapping in a YAML file.
+
+    Args:
+        path: of the file.
+        raises: makes the error of a problem, its remedy, and where it is (`source`, `column`).
+
+    Raises:
+        FileNotFoundError: if there is none.
+        ValueError: if it is not UTF-8 text, no YAML (with the line), or no mapping of names to values; or what `raises`
+            makes of it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}: correct the path")
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise raises("the file is not UTF-8 text", "write a YAML file there", source=path) from None
+    except OSError as error:
+        raise raises(f"the file cannot be read ({error.strerror})", "correct the path", source=path) from None
+    return parse_yaml(text, path, raises)
+
+
+def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] = _told) -> dict[str, Any]:
+    """The mapping that a YAML text holds; errors as those of `read_yaml`, with `source` named."""
+    try:
+        values = yaml.load(text, Loader=_Loader)
+    except _Twice as error:
+        key, first, line = error.args
+        problem = f"the key stands at line {first} and again at line {line}"
+        raise raises(problem, "keep the one that is right", source=source, column=f"field {key}") from None
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise raises(f"line {line} is no valid YAML ({error.problem})", "correct it", source=source) from None
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError):
+        # PyYAML lets errors of its value constructors through unmarked
+        remedy = "write plain `name: value` lines with valid numbers"
+        raise raises("the text is no valid YAML", remedy, source=source) from None
+    if not isinstance(values, dict):
+        kind = "empty" if values is None else f"a {type(values).__name__}"
+        raise raises(f"the file is {kind} and no mapping", "write one `name: value` per line", source=source)
+    for name in values:
+        if not isinstance(name, str):
+            raise raises(f"{name!r} is no name", "write one `name: value` per line", source=source)
+    return values

@@ -1,0 +1,40 @@
+"""How runs are logged to Weights & Biases."""
+
+import os
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
+
+from op3.common.settings import Listed, Text, settings
+
+Mode = Literal["offline", "online", "disabled"]
+
+
+@settings("wandb")
+class WandbSettings:
+    """Settings of a run's log, the group ``wandb`` of the configs.
+
+    Attributes:
+        mode: ``offline`` writes to the run's folder, ``online`` uploads, ``disabled`` does neither.
+        project: that the run belongs to.
+        entity: team or user; None: that of the login.
+        tags: of the run.
+        name: of the run; None: what was run and its seed.
+    """
+
+    mode: Mode = "offline"
+    project: Text = "op3"
+    entity: Text | None = None
+    tags: Listed[Text] = ()
+    name: Text | None = None
+
+    @classmethod
+    def of(cls, given: Any) -> "WandbSettings":
+        """From a config's field, a mapping or, of older runs, the mode alone; WANDB_MODE takes precedence.
+
+        Raises:
+            ValueError: naming the field that cannot be.
+        """
+        values = dict(given) if isinstance(given, Mapping) else {"mode": given}
+        if (mode := os.environ.get("WANDB_MODE")) in get_args(Mode):
+            values["mode"] = mode
+        return cls(**values)

@@ -1,0 +1,232 @@
+"""Excitations: motions of any robot that make the parameters of servos and body visible in a log.
+
+Every one starts and ends at rest in the pose it goes around, keeps its own speed limit, and is sampled at the rate of
+the robot's PD loop. Beside its own arguments it takes
+
+- `joints`: how far each moves [rad], the sign is its direction; None: every controlled joint as far as limits, speeds
+  and clearances of the robot allow,
+- `duration`: length [s]; of a motion that does not stretch, reached by whole repeats,
+- `around` and `offset`: the pose in the middle, "home" or another, and what is added to it by joint [rad],
+- `robot` and `name`: a name in `assets/robots` or the path of its file, and what the motion is called.
+
+`op3.motions.motion_checks` checks limits, speeds and collisions of the result.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from inspect import signature
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.motions.motion import Motion, minimum_jerk, sample_times
+from op3.motions.motion_checks import motion_faults
+from op3.robot.robot import DEFAULT, Robot, load_robot
+
+RATE = 125.0
+"""Rows per second: the robot's PD loop."""
+
+FADE = 0.5
+"""How long oscillations swell and die away [s]."""
+
+Array = NDArray[np.float64]
+Amplitudes = Mapping[str, float]
+"""Amplitude of each joint that moves [rad]; the sign is its direction."""
+
+SHARES = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
+"""How far joints move where no amplitudes are given, of the way from home to the nearer limit: the first safe one."""
+
+LARGEST = 0.5
+"""And the largest of these amplitudes [rad]."""
+
+BRISK = 0.95
+"""Where no amplitudes are given, joints move at most at so much of their speed limit."""
+
+
+def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..., Motion]:
+    """A motion of any robot from a function that gives times [time] and its joints' excursions [time, joint]."""
+
+    stretches = "duration" in signature(excursions).parameters
+
+    @wraps(excursions)
+    def make(
+        joints: Amplitudes | None = None,
+        *args: Any,
+        around: str = "home",
+        offset: Amplitudes | None = None,
+        robot: str = DEFAULT,
+        name: str = excursions.__name__,
+        duration: float | None = None,
+        **own: Any,
+    ) -> Motion:
+        known = load_robot(robot)
+        if stretches and duration is not None:
+            own["duration"] = duration
+        middle = known.pose(around)
+        for joint, angle in (offset or {}).items():
+            middle[known.indices([joint])[0]] += angle
+
+        def motion(chosen: Amplitudes) -> Motion:
+            if not chosen:
+                raise ValueError(f"motion {name!r} moves no joint: give joints with their amplitudes in rad")
+            time, away = excursions(chosen, *args, **own)
+            if duration is not None and not stretches:
+                passes = max(1, round(duration / time[-1]))
+                away = np.concatenate([*[away[:-1]] * (passes - 1), away])
+                time = np.arange(len(away)) / RATE
+            if joints is None:
+                fastest = np.abs(np.diff(away, axis=0)).max(0) * RATE
+                away = away * np.minimum(1.0, BRISK * known.speed_limits[known.indices(chosen)] / (fastest + 1e-12))
+            position = np.tile(middle, (len(time), 1))
+            position[:, known.indices(chosen)] += away
+            return Motion(time, position, name=name, mounts=("stand",), robot=known.reference)
+
+        if joints is not None:
+            return motion(joints)
+        motions = [motion(amplitudes(known, share)) for share in SHARES]
+        return next((one for one in motions if not motion_faults(one)), motions[-1])
+
+    return make
+
+
+@_of_any_robot
+def chirp(
+    joints: Amplitudes, low: float = 0.3, high: float = 4.0, duration: float = 10.0, speed: float = 2.0
+) -> tuple[Array, Array]:
+    """Sines whose frequency grows exponentially: inertia and damping over load.
+
+    Args:
+        joints: amplitude of each joint [rad]; it shrinks with frequency where `speed` asks for it.
+        low: first frequency [Hz].
+        high: last frequency [Hz].
+        duration: length [s].
+        speed: greatest joint speed of the sine [rad/s].
+    """
+    time = sample_times(duration, RATE)
+    growth = np.log(high / low)
+    phase = 2 * np.pi * low * duration / growth * np.expm1(growth * time / duration)
+    frequency = low * np.exp(growth * time / duration)
+    largest = max(abs(amplitude) for amplitude in joints.values())
+    shrink = np.minimum(1.0, speed / (2 * np.pi * frequency * largest))
+    return time, _alike(shrink * np.sin(phase) * fade(time), joints)
+
+
+@_of_any_robot
+def triangle(
+    joints: Amplitudes, speed: float = 0.15, acceleration: float = 2.0, cycles: int = 2
+) -> tuple[Array, Array]:
+    """To and fro at constant speed: friction against angle and load, in both directions.
+
+    Fast ones, at up to what the battery allows, show the motor's resistance.
+
+    Args:
+        joints: amplitude of each joint [rad].
+        speed: of the joint with the largest amplitude [rad/s].
+        acceleration: at the turns, of the same joint [rad/s^2].
+        cycles: full ones, each from the pose to one side, to the other, and back.
+    """
+    largest = max(abs(amplitude) for amplitude in joints.values())
+    corners = [0.0, *[1.0, -1.0] * cycles, 0.0]
+    shape = np.concatenate([_stroke(a, b, speed / largest, acceleration / largest) for a, b in pairwise(corners)])
+    return np.arange(len(shape)) / RATE, _alike(shape, joints)
+
+
+@_of_any_robot
+def multisine(
+    joints: Amplitudes, low: float = 0.2, high: float = 3.0, lines: int = 6, duration: float = 10.0
+) -> tuple[Array, Array]:
+    """All joints at once, each a sum of sines at frequencies of its own, so that their effects can be told apart.
+
+    Frequencies are whole multiples of 1 / duration, dealt out in turn from a logarithmic grid; phases are Schroeder's
+    (IEEE Transactions on Information Theory 16, 1970), which keep the peak low. Amplitudes fall with frequency, so
+    every line moves equally fast.
+
+    Args:
+        joints: largest excursion of each joint [rad].
+        low: lowest frequency [Hz].
+        high: highest frequency [Hz].
+        lines: sines per joint.
+        duration: length [s].
+    """
+    time = sample_times(duration, RATE)
+    multiples = _distinct(np.geomspace(low * duration, high * duration, lines * len(joints)))
+    away = np.zeros((len(time), len(joints)))
+    for number, amplitude in enumerate(joints.values()):
+        own = multiples[number :: len(joints)]
+        k = np.arange(lines)
+        phases = -np.pi * k * (k + 1) / lines
+        waves = np.sin(2 * np.pi * own * time[:, None] / duration + phases) / own
+        wave = waves.sum(1) * fade(time)
+        away[:, number] = amplitude * wave / np.abs(wave).max()
+    return time, away
+
+
+@_of_any_robot
+def staircase(
+    joints: Amplitudes,
+    levels: Sequence[float] = (0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5),
+    ramp: float = 0.4,
+    rest: float = 0.6,
+) -> tuple[Array, Array]:
+    """Holds at several angles, each reached from both sides: what a joint rests at shows static friction and gear.
+
+    Args:
+        joints: amplitude of each joint [rad].
+        levels: share of the amplitude at each hold.
+        ramp: time from one hold to the next [s].
+        rest: time at each hold [s].
+    """
+    shape = levels_over_time([0.0, *levels, 0.0], ramp, rest)
+    return np.arange(len(shape)) / RATE, _alike(shape, joints)
+
+
+def amplitudes(robot: Robot, share: float = SHARES[0]) -> dict[str, float]:
+    """How far each controlled joint may move around home [rad]: a share of the way to its nearer limit."""
+    columns = robot.indices(robot.controlled)
+    low, high = robot.limits[columns].T
+    reach = share * np.minimum(robot.home[columns] - low, high - robot.home[columns])
+    return dict(zip(robot.controlled, np.minimum(reach, LARGEST).tolist(), strict=True))
+
+
+def _alike(shape: Array, joints: Amplitudes) -> Array:
+    """All joints by one shape [time], each by its amplitude, [time, joint]."""
+    return shape[:, None] * np.array(list(joints.values()))
+
+
+def fade(time: Array) -> Array:
+    """Raised cosine up from zero over `FADE` and down to zero at the end, [time]."""
+    to_end = np.minimum(time, time[-1] - time)
+    return (1 - np.cos(np.pi * np.minimum(to_end / FADE, 1.0))) / 2
+
+
+def _stroke(start: float, end: float, speed: float, acceleration: float) -> Array:
+    """From rest to rest at constant acceleration, speed and deceleration, without the end, [time]."""
+    way = abs(end - start)
+    speed = min(speed, np.sqrt(way * acceleration))
+    speeding = speed / acceleration
+    total = way / speed + speeding
+    time = np.arange(max(1, round(total * RATE))) / RATE
+    up = 0.5 * acceleration * np.minimum(time, speeding) ** 2
+    cruise = speed * np.clip(time - speeding, 0.0, total - 2 * speeding)
+    slowing = np.clip(time - (total - speeding), 0.0, speeding)
+    return start + np.sign(end - start) * (up + cruise + speed * slowing - 0.5 * acceleration * slowing**2)
+
+
+def levels_over_time(levels: Sequence[float], ramp: float, rest: float) -> Array:
+    """Holds at levels with jerk-limited ramps between (quintic, at rest at both ends), [time]."""
+    smooth = minimum_jerk(sample_times(ramp, RATE) / ramp)
+    stay = np.ones(round(rest * RATE))
+    parts = [levels[0] * stay]
+    for a, b in pairwise(levels):
+        parts += [a + (b - a) * smooth, b * stay]
+    return np.concatenate(parts)
+
+
+def _distinct(wanted: Array) -> NDArray[np.int64]:
+    """Whole numbers near the wanted ones, ascending, none twice."""
+    chosen: list[int] = []
+    for value in wanted:
+        chosen.append(max(round(value), chosen[-1] + 1 if chosen else 1))
+    return np.array(chosen)

@@ -1,0 +1,86 @@
+"""Whether a motion is safe to play: soft limits, speeds, self-collision."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from op3.motions.motion import Motion
+from op3.robot.robot import Robot, load_robot
+from op3.robot.self_collision import CLEARANCE, SelfCollision
+
+
+def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
+    """What is unsafe about a motion, one sentence each; empty where nothing is.
+
+    Args:
+        motion: of a robot, which is at home in the joints that it does not name.
+        mount: where it is to be played, "floor" or "stand"; None: anywhere it is made for.
+    """
+    if mount is not None and mount not in motion.mounts:
+        places = " or ".join(f"mount={place}" for place in motion.mounts)
+        return [f"motion {motion.name!r} is not for the {mount}; choose {places}"]
+    robot = load_robot(motion.robot)
+    position = np.tile(robot.home, (len(motion.time), 1))
+    position[:, robot.indices(motion.joints)] = motion.position
+    outside = outside_limits(motion.name, robot.joints, robot.limits, motion.time, position)
+    return [*outside, *_speed_faults(motion, robot, position), *_collisions(motion, robot, position)]
+
+
+def check_motion(motion: Motion, mount: str | None = None) -> None:
+    """Refuse an unsafe motion.
+
+    Raises:
+        ValueError: with the first fault of `motion_faults`.
+    """
+    faults = motion_faults(motion, mount)
+    if faults:
+        raise ValueError(faults[0])
+
+
+def check_targets(name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray) -> None:
+    """Refuse what a robot must not be told, see `outside_limits`: servos in current mode enforce no limit."""
+    if faults := outside_limits(name, joints, limits, time, position):
+        raise ValueError(faults[0])
+
+
+def outside_limits(
+    name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray
+) -> list[str]:
+    """Joints that a motion asks for more than their limits [joint, 2], where first, one sentence each."""
+    outside = (position < limits[:, 0]) | (position > limits[:, 1])
+    faults = []
+    for joint in np.flatnonzero(outside.any(0)).tolist():
+        row, (low, high) = int(np.argmax(outside[:, joint])), limits[joint]
+        faults.append(
+            f"motion {name!r} asks {joints[joint]} for {position[row, joint]:.3f} rad at {time[row]:.3f} s;"
+            f" it may go from {low:.3f} to {high:.3f} rad"
+        )
+    return faults
+
+
+def _speed_faults(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]:
+    if len(position) < 2:
+        return []
+    speed = np.abs(np.diff(position, axis=0)) / np.diff(motion.time)[:, None]
+    row, joint = np.unravel_index(np.argmax(speed / robot.speed_limits), speed.shape)
+    if speed[row, joint] <= robot.speed_limits[joint]:
+        return []
+    return [
+        f"motion {motion.name!r} moves {robot.joints[joint]} at {speed[row, joint]:.2f} rad/s at"
+        f" {motion.time[row]:.3f} s; the limit is {robot.speed_limits[joint]:.1f} rad/s"
+    ]
+
+
+def _collisions(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]:
+    parts = _self_collision(robot)
+    for row, angles in enumerate(position):
+        if gap := parts.nearest(angles):
+            return [
+                f"motion {motion.name!r} brings {gap} at {motion.time[row]:.3f} s; at least"
+                f" {CLEARANCE * 1000:.0f} mm must be left: move less, or elsewhere (motion.joints, motion.offset)"
+            ]
+    return []
+
+
+_self_collision = lru_cache(maxsize=4)(SelfCollision)

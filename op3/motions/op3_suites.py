@@ -1,0 +1,232 @@
+"""What one leg, or the whole OP3, is asked to do on the stand so that its servos show everything they hide.
+
+The suite takes about 100 s: slow triangles, multisines at high and low gain, squats, steps that exhaust the supply
+voltage, holds at two loads, two orientations of the stand, cold and warm servos, and commands that are repeated.
+`leg_walking` is the opposite, a leg that only walks, with which many effects cannot be told apart. The suites of the
+whole robot give the left leg another one, mirrored, and move arms and head beside them; whether limbs would meet is not
+looked at, so they are for simulated robots.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from op3.motions.excitations import RATE
+from op3.motions.motion import Motion
+from op3.motions.op3_motions import OP3, squat_position
+
+LEG_JOINTS = OP3.legs[1]
+"""The six servo joints of the right leg, from the trunk outwards: hip yaw, roll and pitch, knee, ankle pitch, roll."""
+
+ARM_JOINTS = (*OP3.limbs[1], *OP3.limbs[2])
+"""The joints of both arms."""
+
+KNEE = 3
+"""Place of the knee among the joints of a leg."""
+
+RUN_DURATION = 4.0
+"""Length of one run [s]."""
+
+UPRIGHT = (0.0, 0.0)
+"""Roll and pitch of the stand [rad]."""
+
+TILTED = (0.5, 0.8)
+"""The other orientation of the stand [rad]: gravity pulls on every joint in another way, springs do not."""
+
+SLOW_RATES = (0.02, 0.05, 0.1, 0.2, 0.3, 0.15)
+"""Speeds of the slow triangles [rad/s]; each joint meets several of them."""
+
+OTHER_LEG = 500_000
+"""What is added to the seed for the left leg."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """One run of a suite.
+
+    Attributes:
+        motion: targets; runs that send the same commands carry the same name.
+        p_gain: proportional gain of all joints [A/rad].
+        d_gain: derivative gain of all joints [A s/rad].
+        tilt: roll and pitch of the stand [rad].
+        warm: whether the servos have worked for long before.
+    """
+
+    motion: Motion
+    p_gain: float = 6.0
+    d_gain: float = 0.1
+    tilt: tuple[float, float] = UPRIGHT
+    warm: bool = False
+
+
+def leg_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
+    """The rich suite: 26 runs of `duration` [s], in the order in which they are recorded.
+
+    Args:
+        seed: of amplitudes, frequencies and phases. Equal seeds give equal commands.
+        duration: length of one run [s].
+    """
+    rng = np.random.default_rng([seed, 20])
+    time = np.arange(round(duration * RATE)) / RATE
+
+    def run(name: str, shape: Callable[..., Array], *args: float, gain: float = 6.0, tilt=UPRIGHT, warm=False):
+        return Excitation(_motion(time, shape(time, rng, *args), name), gain, 0.1, tilt, warm)
+
+    first = run("repeated_multisine", _multisine, 0.9, gain=4.0)
+    second = run("repeated_squat", _squat, 1.0, tilt=TILTED)
+    return [
+        first,
+        run("slow_triangles_1", _triangles, 0),
+        run("multisine_high_gain_1", _multisine, 1.0),
+        second,
+        run("multisine_low_gain_1", _multisine, 1.0, gain=1.2),
+        run("squats_1", _squat, 1.0),
+        first,
+        run("steps_1", _steps, 0.6),
+        run("slow_triangles_2", _triangles, 2, tilt=TILTED),
+        second,
+        run("holds_1", _holds),
+        run("multisine_high_gain_2", _multisine, 1.1, tilt=TILTED),
+        first,
+        run("slow_triangles_3", _triangles, 4),
+        run("multisine_low_gain_2", _multisine, 1.0, gain=1.2, tilt=TILTED),
+        second,
+        run("holds_2", _holds, tilt=TILTED),
+        run("steps_2", _steps, 0.7, tilt=TILTED),
+        run("squats_2", _squat, 0.8, tilt=TILTED),
+        first,
+        second,
+        run("slow_triangles_4", _triangles, 1, tilt=TILTED, warm=True),
+        run("multisine_high_gain_3", _multisine, 1.0, warm=True),
+        run("steps_3", _steps, 0.65, tilt=TILTED, warm=True),
+        run("squats_3", _squat, 1.0, warm=True),
+        run("multisine_high_gain_4", _multisine, 1.0, tilt=TILTED, warm=True),
+    ]
+
+
+def leg_walking(seed: int, duration: float = RUN_DURATION, runs: int = 26) -> list[Excitation]:
+    """The poor suite: the leg walks in the air, upright, at one gain, cold. Every sixth run repeats the first.
+
+    Args:
+        seed: of cadence and stride.
+        duration: length of one run [s].
+        runs: how many.
+    """
+    rng = np.random.default_rng([seed, 21])
+    time = np.arange(round(duration * RATE)) / RATE
+    first = Excitation(_motion(time, _walk(time, rng), "repeated_walk"))
+    return [
+        first if i % 6 == 0 else Excitation(_motion(time, _walk(time, rng), f"walk_{i - i // 6}")) for i in range(runs)
+    ]
+
+
+def robot_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
+    """The rich suite for all joints: kinds and conditions as in `leg_suite`."""
+    return _both(leg_suite(seed, duration), leg_suite(seed + OTHER_LEG, duration), seed)
+
+
+def robot_walking(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
+    """The poor suite for all joints: both legs walk in the air, see `leg_walking`."""
+    return _both(leg_walking(seed, duration), leg_walking(seed + OTHER_LEG, duration), seed)
+
+
+def _both(right: list[Excitation], left: list[Excitation], seed: int) -> list[Excitation]:
+    """Runs of two legs as runs of the robot; runs that repeated a command still do."""
+    return [
+        Excitation(_whole(one.motion, other.motion, seed), one.p_gain, one.d_gain, one.tilt, one.warm)
+        for one, other in zip(right, left, strict=True)
+    ]
+
+
+def _whole(right: Motion, left: Motion, seed: int) -> Motion:
+    time = right.time
+    position = np.tile(OP3.home, (len(time), 1))
+    position[:, OP3.indices(LEG_JOINTS)] = left.position
+    position = OP3.mirrored(position)
+    position[:, OP3.indices(LEG_JOINTS)] = right.position
+    upper = [joint for joint in OP3.joints if not any(joint in leg for leg in OP3.legs)]
+    rng = np.random.default_rng([seed, 22, zlib.crc32(right.name.encode())])
+    position[:, OP3.indices(upper)] += _sway(time, rng, len(upper))
+    low, high = OP3.limits.T
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name)
+
+
+def _sway(time: Array, rng: np.random.Generator, count: int) -> Array:
+    """Three sines per joint of arms and head, slow and fast."""
+    frequency = np.array([0.15, 0.6, 2.0])[:, None] * rng.uniform(0.8, 1.25, (3, count))
+    phase = rng.uniform(0, 2 * np.pi, (3, count))
+    waves = np.array([0.2, 0.15, 0.06])[:, None] * np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
+    return waves.sum(1)
+
+
+def _motion(time: Array, position: Array, name: str) -> Motion:
+    low, high = OP3.limits[OP3.indices(LEG_JOINTS)].T
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), LEG_JOINTS, name)
+
+
+def _centre() -> Array:
+    """The leg bent as at home [joint]."""
+    return OP3.home[OP3.indices(LEG_JOINTS)]
+
+
+def _triangles(time: Array, rng: np.random.Generator, shift: float) -> Array:
+    """Each joint goes back and forth at one slow speed; `shift` moves the speeds along the leg."""
+    rates = np.roll(SLOW_RATES, int(shift))
+    period = rng.uniform(1.6, 2.6, len(LEG_JOINTS))
+    phase = time[:, None] / period + rng.uniform(0, 1, len(LEG_JOINTS))
+    wave = 2 * np.abs(2 * (phase % 1) - 1) - 1
+    return _centre() + rng.uniform(-0.25, 0.25, len(LEG_JOINTS)) + rates * period / 4 * wave
+
+
+def _multisine(time: Array, rng: np.random.Generator, scale: float) -> Array:
+    """Eight sines per joint between 0.25 and 6 Hz, whose amplitude falls with frequency."""
+    frequency = np.geomspace(0.25, 6.0, 8)[:, None] * rng.uniform(0.85, 1.15, (8, len(LEG_JOINTS)))
+    amplitude = 0.22 / (1 + frequency / 0.8)
+    phase = rng.uniform(0, 2 * np.pi, (8, len(LEG_JOINTS)))
+    waves = amplitude * np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
+    return _centre() + scale * waves.sum(1)
+
+
+def _squat(time: Array, rng: np.random.Generator, scale: float) -> Array:
+    """Knee bends with hip and ankle, and slow sways of the other joints."""
+    frequency = rng.uniform(0.45, 0.8)
+    knee = 1.05 - 0.45 * scale * np.cos(2 * np.pi * frequency * time)
+    position = squat_position(knee, 0.3)[:, OP3.indices(LEG_JOINTS)]
+    sway = rng.uniform(0.05, 0.2, 3) * np.sin(2 * np.pi * rng.uniform(0.3, 0.7, 3) * time[:, None] + [0.0, 1.0, 2.0])
+    position[:, [0, 1, 5]] += sway
+    return position
+
+
+def _steps(time: Array, rng: np.random.Generator, size: float) -> Array:
+    """Jumps that ask for more current than the supply can give, at other times in each joint."""
+    position = np.tile(_centre(), (len(time), 1))
+    for joint in range(len(LEG_JOINTS)):
+        edges = np.cumsum(rng.uniform(0.35, 0.75, 12))
+        level = np.concatenate([[0.0], size * rng.uniform(0.5, 1.0, 12) * np.tile([1, -1], 6)])
+        position[:, joint] += level[np.searchsorted(edges, time)] * rng.choice([-1, 1])
+    return position
+
+
+def _holds(time: Array, rng: np.random.Generator) -> Array:
+    """Two poses in which gravity loads the joints differently, held while the targets creep up and down."""
+    low = _centre() + rng.uniform(-0.15, 0.15, len(LEG_JOINTS))
+    high = low + np.array([0.3, 0.45, 0.55, -0.5, -0.4, 0.5]) * rng.uniform(0.8, 1.2, len(LEG_JOINTS))
+    share = np.clip((time - time[-1] / 2) / 0.3, -0.5, 0.5)[:, None] + 0.5
+    creep = 0.02 * np.abs(2 * ((time[:, None] / 1.7 + rng.uniform(0, 1, len(LEG_JOINTS))) % 1) - 1)
+    return low + share * (high - low) + creep
+
+
+def _walk(time: Array, rng: np.random.Generator) -> Array:
+    """Swing and stance of a short step."""
+    phase = 2 * np.pi * (rng.uniform(1.1, 1.5) * time + rng.uniform())[:, None]
+    stride = rng.uniform(0.15, 0.25)
+    amplitude = np.array([0.03, 0.06, stride, 1.4 * stride, stride, 0.06])
+    lag = np.array([0.0, 0.0, 0.0, 1.2, 2.4, 0.0])
+    return _centre() + amplitude * np.sin(phase + lag)

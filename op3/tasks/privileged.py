@@ -1,0 +1,68 @@
+"""Privileged observations: what a simulation knows of a robot and the robot does not; critics alone see them.
+
+Asymmetric actor-critic (Pinto et al. 2017): a policy must do with its sensors, while the critics that train it may see
+more. A term is a function or class of the state that returns ``[env, number]``; its attribute ``mirror`` has one sign
+for each number, that of its image in the robot's plane of symmetry. A class keeps a memory and says 0 when an episode
+begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from op3.tasks.state import State
+
+__all__ = ["VelocityError", "base_height", "heading_velocity"]
+
+
+def mirrored(*signs: float) -> Callable[[Any], Any]:
+    """Give a term the signs of its image, one for each of its numbers."""
+
+    def marked(term: Any) -> Any:
+        term.mirror = signs
+        return term
+
+    return marked
+
+
+@mirrored(1.0, -1.0, -1.0)
+def heading_velocity(state: State) -> Tensor:
+    """Forwards and to the left of the base's heading [m/s], and its rate of turning [rad/s]."""
+    return state.heading_velocity
+
+
+@mirrored(1.0)
+def base_height(state: State) -> Tensor:
+    """Of the base's origin above the ground's [m]."""
+    return state.base_height[:, None]
+
+
+@mirrored(1.0, -1.0, -1.0)
+class VelocityError:
+    """Velocity less the commanded one [m/s, m/s, rad/s], averaged over a stride.
+
+    Args:
+        time_constant: of the average [s].
+        name: of the command.
+    """
+
+    def __init__(self, num_envs: int, policy_period: float, time_constant: float = 0.5, name: str = "velocity"):
+        self.name = name
+        self._keep = float(np.exp(-policy_period / time_constant))
+        self._error = torch.zeros(num_envs, 3, dtype=torch.float64)
+
+    def begin(self, rows: Tensor) -> None:
+        """Episodes of a mask of robots begin."""
+        self._error[rows] = 0.0
+
+    def __call__(self, state: State) -> Tensor:
+        """The average, ``[env, 3]``."""
+        error = state.heading_velocity - state.commands[self.name]
+        self._error = self._keep * self._error + (1.0 - self._keep) * error
+        return self._error

@@ -1,0 +1,1 @@
+"""From simulation to the robot and back: returns, re-identification from failed transfers, and success."""
