@@ -27,9 +27,12 @@ def main(cfg: DictConfig) -> CommandResult:
     if cfg.to not in EXPRESSES:
         raise ValueError(f"to={cfg.to}: write one of {', '.join(EXPRESSES)}; mjlab and Playground take mjcf")
     logs = read_logs(plain(cfg.data), cfg.robot) if cfg.data is not None else []
-    if cfg.robot is None and not logs:
+    if logs:
+        robot = logs[0].robot
+    elif cfg.robot is not None:
+        robot = load_robot(cfg.robot)
+    else:
         raise ValueError("robot: name the robot of the model, or give the logs that it was fitted to as data=")
-    robot = logs[0].robot if logs else load_robot(cfg.robot)
     model = model_for(robot, cfg.model)
     kept, lost = expressed(model, cfg.to)
     if cfg.to == "bam":
