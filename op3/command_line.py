@@ -98,6 +98,7 @@ def _launch(app: str) -> None:
     from op3.identify.registration import register
 
     words = ["confirm=false" if word == "--yes" else source_word(app, word) for word in sys.argv[1:]]
+    words += choices_of_resumed(words)
     sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
     parser = get_args_parser()
     parser.error = lambda message: end(f"{message}; settings are written setting=value, and --help lists them")
@@ -146,6 +147,16 @@ def source_word(app: str, argument: str) -> str:
     if name != "robot" or "\n  - source:" not in _text(app):
         return argument
     return f"source={value}" if set(value.split(",")) <= set(names_in("source")) else argument
+
+
+def choices_of_resumed(words: Sequence[str]) -> list[str]:
+    """What a run that is to be resumed chose of the groups its settings come from, so that each can be overridden."""
+    given = {name: value for name, _, value in (word.partition("=") for word in words)}
+    file = Path(given.get("resume", "").strip("'\"")) / ".hydra" / "hydra.yaml"
+    if "resume" not in given or not file.is_file():
+        return []
+    chosen = re.findall(r"^      (task|algorithm|recipe|budget): '?(\w+)'?$", file.read_text("utf-8"), re.MULTILINE)
+    return [f"{name}={value}" for name, value in chosen if name not in given]
 
 
 def compare(folder: Path) -> None:

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 
 from op3.apps.command_help import COMMANDS, completion, overview, usage
-from op3.command_line import main, quoted
+from op3.command_line import choices_of_resumed, main, quoted
 from tests.scripts import run_apart
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -263,3 +264,16 @@ def test_the_doctor_looks_at_this_machine():
     assert done.returncode == 0
     for topic in ("Python", "cores", "rendering", "disk", "robot"):
         assert topic in done.stdout
+
+
+def test_a_resumed_run_has_the_groups_that_it_chose(tmp_path):
+    """Groups that are not given are those of the run, so that a setting of its task can be overridden."""
+    folder = tmp_path / "run"
+    (folder / ".hydra").mkdir(parents=True)
+    choices = {"budget": "laptop", "algorithm": "sac", "task": "walk_command", "recipe": "null", "wandb": "disabled"}
+    saved = yaml.safe_dump({"hydra": {"runtime": {"choices": choices}}})
+    (folder / ".hydra" / "hydra.yaml").write_text(saved)
+    words = ["train.steps=10", f"resume={folder}", "budget=demo"]
+    assert sorted(choices_of_resumed(words)) == ["algorithm=sac", "recipe=null", "task=walk_command"]
+    assert choices_of_resumed(["train.steps=10"]) == []
+    assert choices_of_resumed(["resume=/nowhere"]) == []

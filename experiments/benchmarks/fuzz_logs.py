@@ -1,4 +1,4 @@
-"""Random edits of logs of every format: each is read or refused with one sentence, in time and without a trace.
+"""Random edits of robots, and of logs of every format: each is read or refused in one sentence, in time.
 
 python experiments/benchmarks/fuzz_logs.py [EDITS] [SEED] [FORMAT]
 
@@ -31,6 +31,9 @@ import contextlib
 
 import foreign_logs
 
+from op3.report.robot_table import robot_table
+from op3.robot.data_file import DataFileError
+from op3.robot.robot import Robot
 from op3.rollout import LogError, Metadata, Recorder, Rollout, read_episodes
 from op3.rollout.proposal import as_yaml, propose
 
@@ -111,7 +114,25 @@ def servo_bench(folder: Path) -> Path:
     return path
 
 
-OURS = {"wide csv": wide_csv, "folder": saved, "interrupted": interrupted, "servo bench": servo_bench}
+def robot(folder: Path) -> Path:
+    """A robot file and its model, with a joint of every kind."""
+    geom = '<geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" mass="0.1"/>'
+    joints = {"shoulder": "", "elbow": 'damping="0.1"', "finger": 'type="slide"', "flap": 'stiffness="0.1"'}
+    inner = ""
+    for name, more in reversed(joints.items()):
+        joint = f'<joint name="{name}" axis="0 1 0" range="-1 1" {more}/>'
+        inner = f'<body name="{name}_link" pos="0 0 0.1">{joint}{geom}{inner}</body>'
+    options = '<compiler angle="radian"/><actuator><position joint="elbow" kp="5"/></actuator>'
+    mjcf = f'<mujoco model="arm">{options}<worldbody><body name="base">{geom}{inner}</body></worldbody></mujoco>'
+    (folder / "arm.xml").write_text(mjcf)
+    entries = "shoulder: {bus_id: 1, home: 0.1}, elbow: {bus_id: 2, limits: [-0.9, 0.9]}, "
+    entries += "finger: {bus_id: 3, travel: 0.5}, flap: {passive: true}"
+    head = "format: op3-robot/1\nname: arm\nmodel: arm.xml\nbase: base\nfixed: true\nservo: xm430-w350\n"
+    (folder / "arm.yaml").write_text(f"{head}joints: {{{entries}}}\nposes: {{up: {{elbow: 0.5}}}}\n")
+    return folder / "arm.yaml"
+
+
+OURS = {"wide csv": wide_csv, "folder": saved, "interrupted": interrupted, "servo bench": servo_bench, "mjcf": robot}
 """Formats of ours, and of one servo."""
 
 
@@ -260,7 +281,7 @@ def edit(files: Files, random: Random) -> Files:
     except lzma.LZMAError:
         pass
     means: list[Callable[[bytes, Random], bytes]] = [bytes_edit]
-    means += [text_edit] * 3 if kind in (".csv", ".yaml", ".txt", ".json") else []
+    means += [text_edit] * 3 if kind in (".csv", ".yaml", ".txt", ".json", ".xml") else []
     means += {".json": [json_edit] * 3, ".npz": [npz_edit] * 3, ".parquet": [parquet_edit] * 3}.get(kind, [])
     try:
         changed = means[int(random.integers(len(means)))](raw, random)
@@ -280,6 +301,14 @@ def too_slow(*_: Any) -> None:
 
 def outcome(path: Path) -> str:
     """How reading ends: `read` or `refused`; everything else is raised."""
+    if path.name == "arm.yaml":
+        try:
+            robot_table(Robot(path))
+        except DataFileError as error:
+            if "\n" in str(error):
+                raise AssertionError(f"not one sentence: {error}") from None
+            return "refused"
+        return "read"
     try:
         logs = read_episodes(path)
     except LogError as error:

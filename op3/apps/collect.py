@@ -82,14 +82,14 @@ def collect(
     """Record a motion, a plan of motions or a policy's episodes on a robot.
 
     Args:
-        motion: a name in ``conf/motion``.
+        motion: a name in ``conf/motion`` or ``conf/motion_variants.yaml``.
         source: who plays the robot: ``stand_in``, ``emulated``, ``real`` or ``model``.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         policy: folder of a bundle whose episodes are recorded instead of a motion.
         task: that the policy attempts, a name in ``conf/task``.
         plan: path of a ``plan.yaml``, played instead of a motion.
         mount: ``floor`` or ``stand``.
-        world: of a stand-in: a name in ``conf/stand_in``, a path, or ``random``.
+        world: of a stand-in: a name in ``assets/worlds.yaml``, a path, or ``random``.
         world_seed: which random world.
         model: of the sources ``emulated`` and ``model``: in place of a stand-in.
         port: of a real robot.

@@ -112,17 +112,14 @@ def settings_of(config: str) -> list[str]:
 
 
 def names_in(group: str) -> list[str]:
-    """What can be chosen of a group: files in ``conf``, or what the catalogue of effects brings in."""
-    folder = files() / "conf" / group
-    if folder.is_dir():
-        return sorted(file.stem for file in folder.glob("*.yaml"))
+    """What can be chosen of a group: files in ``conf``, effects of the catalogue and variants of motions."""
     from hydra.core.config_store import ConfigStore
 
-    from op3.identify.search_groups import register
+    from op3.identify.registration import register
 
     register()
-    known = ConfigStore.instance().repo.get(group, {})
-    return sorted(name.removesuffix(".yaml") for name in known)
+    names = [*ConfigStore.instance().repo.get(group, {}), *(files() / "conf" / group).glob("*.yaml")]
+    return sorted({Path(name).stem for name in names})
 
 
 def usage(config: str) -> str:

@@ -38,7 +38,7 @@ def compliance(
 
     Args:
         policy: folder of a bundle, or several; the first one is compared with the others.
-        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: that of the config.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the config.
         seed: of the episodes.
         folder: of the run; None: a temporary one.
         overrides: of further settings of ``conf/compliance.yaml``.

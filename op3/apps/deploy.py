@@ -79,7 +79,7 @@ def deploy(
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         mode: ``run``, ``dry_run``, ``read_only``, ``hang``, ``setup``, ``calibrate`` or ``replay``.
         duration: of the policy or of watching [s].
-        world: of an emulated robot: a name in ``conf/stand_in``, a path, or ``random``.
+        world: of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
         model: of an emulated robot: a ``model.yaml``, or ``own``, in place of a stand-in.
         confirm: ask before torque.
         seed: of an emulated robot.

@@ -19,7 +19,7 @@ from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain, positive
 from op3.apps.job import configured, overrides_of
 from op3.apps.support import library_motion, output_folder, provenance, reported
-from op3.common.assets import named_configs
+from op3.common.assets import motion_names
 from op3.identify.design import PlannedRecording, check_choice, choose, information
 from op3.identify.identification import PREFIX
 from op3.identify.resolvers import chosen_model
@@ -58,10 +58,10 @@ def design(
         groups: of parameters that are to be identified; None: ``motor, gear, friction, body``.
         seconds: of robot time.
         wanted: parameters whose intervals count; None: all.
-        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: the robot's own.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: the robot's own.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         mounts: ``floor``, ``stand`` or both.
-        motions: names in ``conf/motion``; None: all that the robot can play.
+        motions: names in ``conf/motion`` or ``conf/motion_variants.yaml``; None: all that the robot can play.
         folder: of the run; None: a temporary one.
         overrides: of further settings of ``conf/design_excitation.yaml``.
 
@@ -81,7 +81,7 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
     joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
     robot.indices(joints)  # before minutes of motions
     candidates, left_out = [], {}
-    for name in plain(cfg.motions) or sorted(named_configs("motion")):
+    for name in plain(cfg.motions) or motion_names():
         motion = library_motion(name, cfg.robot)
         if load_robot(motion.robot).path != robot.path:
             continue

@@ -1,6 +1,6 @@
 """Name the effects that a model does not include, from logs of a stand or of a servo bench.
 
-python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in conf/servo>
+python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in assets/models>
 python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the returned model
 python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can show
 python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
@@ -81,7 +81,7 @@ def diagnose(
 
     Args:
         data: logs of one robot on a stand, or of a servo on a bench: a folder, a pattern or a list of them.
-        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: the robot's own.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: the robot's own.
         robot: that made the logs; None: what they say.
         mode: ``once``, ``loop`` (again from the returned model) or ``aliasing`` (what these logs can show).
         without: effects of the catalogue that are not considered.

@@ -76,7 +76,7 @@ def evaluate(
     Args:
         policy: folder of a bundle, or ``hold``, ``zero``, ``random``, ``stiff``.
         task: a name in ``conf/task``.
-        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: that of the robot's file.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the robot's file.
         robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
         episodes: number of them.
         baseline: beside the policy on the same episodes.

@@ -103,7 +103,7 @@ REQUIRED = {
     "data": "a log, a folder of logs, or a list of them",
     "policy": "the folder of a policy bundle",
     "episodes": "a folder of logs of the policy's episodes",
-    "model": "a model.yaml or a name in conf/servo",
+    "model": "a model.yaml or a name in assets/models",
     "runs": "the folder of a multirun of op3 identify",
     "what": "a log, a policy bundle, a model.yaml, a robot file or the run of a diagnosis",
 }

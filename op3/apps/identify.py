@@ -67,7 +67,7 @@ def identify(
     Args:
         data: logs to fit: a path, a folder, a pattern or a list of them.
         heldout: logs to test on, never used for fitting.
-        model: path of a ``model.yaml`` or a name in ``conf/servo`` to start from; None: the robot's own.
+        model: path of a ``model.yaml`` or a name in ``assets/models`` to start from; None: the robot's own.
         robot: that made the logs; None: what they say.
         groups: of parameters to search; None: ``motor, gear, friction, body``.
         effects: of the catalogue, switched on in addition.

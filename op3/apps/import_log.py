@@ -16,8 +16,8 @@ from op3.apps.fields import check_given, plain
 from op3.apps.support import output_folder
 from op3.common.private import masked
 from op3.common.settings import parse_yaml
+from op3.common.writing import write_text
 from op3.rollout import LogError, Rollout
-from op3.rollout.files import write_text
 from op3.rollout.health import ERROR, examine, told_together
 from op3.rollout.importing import OPTIONS, read_side, side_path
 from op3.rollout.proposal import as_yaml, propose

@@ -49,7 +49,7 @@ def predict(
 
     Args:
         data: a log, a folder or pattern of logs, or a list of them.
-        model: path of a ``model.yaml``, or a name in ``conf/servo``; None: the robot's own.
+        model: path of a ``model.yaml``, or a name in ``assets/models``; None: the robot's own.
         robot: that made the logs; None: what they say.
         where: takes only logs with these metadata.
         joints: whose traces are shown; None: those that the robot's file calls controlled.

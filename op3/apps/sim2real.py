@@ -80,7 +80,7 @@ def sim2real(
     Args:
         task: ``balance`` or ``walk``.
         source: ``emulated`` or ``real``.
-        world: of an emulated robot: a name in ``conf/stand_in``, a path, or ``random``.
+        world: of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
         port: of a real robot.
         condition: a name under ``conditions`` in ``conf/sim2real.yaml``.
         budget: ``demo``, ``laptop`` or ``paper``.

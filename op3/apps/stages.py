@@ -19,7 +19,7 @@ from op3.apps.collect import collect
 from op3.apps.command_result import CommandResult
 from op3.apps.progress import LINE_SECONDS
 from op3.apps.support import check_same, remember
-from op3.rollout.files import write_text
+from op3.common.writing import write_text
 
 DONE = "done"
 """File in a stage's folder that says that it is finished, and what it took."""

@@ -94,7 +94,7 @@ def train(
 
     Args:
         task: a name in ``conf/task``.
-        model: path of a ``model.yaml`` or a name in ``conf/servo``; None: that of the robot's file.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the robot's file.
         robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
         algorithm: a name in ``conf/algorithm``.
         budget: a name in ``conf/budget``.

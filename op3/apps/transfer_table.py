@@ -16,8 +16,8 @@ from op3.apps.collect import exit_code
 from op3.apps.command_result import CommandResult
 from op3.apps.sim2real import check, loop
 from op3.apps.support import output_folder
+from op3.common.writing import write_text
 from op3.report.transfer_table_page import FAILED, read_cells, write_table
-from op3.rollout.files import write_text
 
 INTERRUPTED = "The same command goes on from the stages done."
 

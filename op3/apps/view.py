@@ -111,7 +111,7 @@ def tracks_of(cfg: DictConfig) -> Tracks:
     if (path / SHOWN).is_dir():
         return of_diagnosis(path)
     if not path.exists() and cfg.what not in model_names():
-        wanted = "a log, a policy bundle, a model.yaml, a name in conf/servo or the run of a diagnosis"
+        wanted = "a log, a policy bundle, a model.yaml, a name in assets/models or the run of a diagnosis"
         raise ValueError(f"what={cfg.what}: there is no such file or folder; give {wanted}")
     if path.is_file() and path.suffix in (".yaml", ".yml") and read_yaml(path).get("format") == ROBOT_FORMAT:
         return of_robot(cfg)

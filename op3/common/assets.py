@@ -5,8 +5,9 @@ Imports nothing heavy: wrong names on a command line are refused here before any
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from op3.common.settings import nearest
+from op3.common.settings import nearest, read_yaml
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _CANDIDATES = (_PACKAGE / "_files" / "assets", _PACKAGE.parent / "assets")
@@ -39,15 +40,30 @@ def here_or_shipped(path: str | Path) -> Path:
     return path
 
 
+def conf_folder() -> Path:
+    """The folder of the configs."""
+    installed = _PACKAGE / "_files" / "conf"
+    return installed if installed.is_dir() else _PACKAGE.parent / "conf"
+
+
 def named_configs(group: str) -> dict[str, Path]:
     """The config files of a group that come with the project, by name: ``conf/<group>/<name>.yaml``.
 
     Args:
         group: folder below `conf/`.
     """
-    installed = _PACKAGE / "_files" / "conf" / group
-    folder = installed if installed.is_dir() else _PACKAGE.parent / "conf" / group
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    return {path.stem: path for path in sorted((conf_folder() / group).glob("*.yaml"))}
+
+
+@lru_cache(maxsize=1)
+def motion_variants() -> dict[str, dict[str, Any]]:
+    """Motions of ``conf/motion_variants.yaml`` by name: their `family`, a config of ``conf/motion``, and its fields."""
+    return read_yaml(conf_folder() / "motion_variants.yaml")
+
+
+def motion_names() -> tuple[str, ...]:
+    """Names of the motions that come with the project, families and their variants."""
+    return tuple(sorted({*named_configs("motion"), *motion_variants()}))
 
 
 @lru_cache(maxsize=1)
@@ -71,9 +87,15 @@ def robot_file(name: str | Path) -> Path:
     return path
 
 
+@lru_cache(maxsize=1)
+def model_files() -> dict[str, Path]:
+    """The files of all models that come with the project, by name."""
+    return {path.stem: path for path in sorted(asset_path("models").glob("*.yaml"))}
+
+
 def model_names() -> tuple[str, ...]:
-    """Names of the models that come with the project, in ``conf/servo/``."""
-    return tuple(named_configs("servo"))
+    """Names of the models that come with the project, in ``assets/models``."""
+    return tuple(model_files())
 
 
 def find_model(name_or_path: str | Path) -> Path:
@@ -87,9 +109,8 @@ def find_model(name_or_path: str | Path) -> Path:
         return path
     if path.is_dir() and (path / "model.yaml").is_file():
         return path / "model.yaml"
-    named = named_configs("servo")
-    if str(name_or_path) in named:
-        return named[str(name_or_path)]
+    if str(name_or_path) in model_files():
+        return model_files()[str(name_or_path)]
     raise FileNotFoundError(
         f"there is no model file {str(name_or_path)!r}: give the path of a model.yaml or a name"
         + nearest(name_or_path, model_names())

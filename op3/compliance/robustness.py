@@ -88,7 +88,7 @@ def _with_parameter(model: RobotModel, name: str) -> RobotModel:
         if any(parameter.name == name for parameter in effect.parameters):
             return model.with_effect(effect(), {p.name: _neutral(p) for p in effect.parameters})
     known = sorted({p.name for effect in catalogue().values() for p in effect.parameters} | {BUS_VOLTAGE})
-    raise ValueError(f"a variation changes {name!r}, which no model has{nearest(name, known)}")
+    raise ValueError(f"a variation changes {name!r}: no model has such a parameter{nearest(name, known)}")
 
 
 def _neutral(parameter: Parameter) -> float:

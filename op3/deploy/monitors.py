@@ -94,7 +94,7 @@ class Monitor:
             if (errors[bad] == HardwareError.INPUT_VOLTAGE).all():
                 # By itself this bit does not switch the servo off (register `shutdown`).
                 raise Stop(ExitCode.VOLTAGE, f"out of the voltage range: {causes}", damp=True)
-            reason = f"shut down by itself: {causes}; mend the cause, then switch the power off and on"
+            reason = f"shut down by itself: {causes}; remove the cause, then switch the power off and on"
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
         fresh = state.answered & (state.raw["voltage"] < ALIVE_COUNTS)
         if fresh.any():
@@ -145,7 +145,7 @@ class Monitor:
 
     def _check_parts(self, whose: str, gap: Gap | None) -> None:
         if gap is not None:
-            raise Stop(ExitCode.SELF_COLLISION, f"at the {whose} angles the robot hits itself: {gap}", damp=True)
+            raise Stop(ExitCode.SELF_COLLISION, f"at the {whose} angles parts of the robot collide: {gap}", damp=True)
 
     def _check_heat(self, state: RobotState) -> None:
         hot = state.temperature >= self._limits.temperature

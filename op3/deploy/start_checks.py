@@ -236,7 +236,7 @@ class StartChecks:
 
     def _hardware_errors(self) -> str:
         if causes := self._where("hardware_error_status", bool, lambda value: f"({HardwareError.describe(value)})"):
-            raise Failed(f"{causes}; mend the cause, then switch the power off and on")
+            raise Failed(f"{causes}; remove the cause, then switch the power off and on")
         return "none"
 
     def _voltage(self) -> str:

@@ -47,7 +47,7 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
     pairs, count = _pairs(best, left, strength, effects, most)
     return {
         "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects in their places,"
-        f" and {count} pairs look alike to them.",
+        f" and {count} pairs look the same in them.",
         "visibility": {label: round(float(visibility[i]), 3) for label, i in best.items()},
         "smallest": {label: size_of(stage, i, smallest[i]) for label, i in best.items()},
         "hidden": hidden,

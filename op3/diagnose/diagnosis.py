@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from op3.diagnose.base import Baseline, at_point, fit_base, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
-from op3.diagnose.doubts import AT_BOUND, doubts, freed, untold, unusual
+from op3.diagnose.doubts import AT_BOUND, doubts, freed, unidentifiable, unusual
 from op3.diagnose.findings import NamingStage, Search
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge_settings import SETTINGS, Settings
@@ -168,7 +168,7 @@ class Diagnosis:
             tuple(sorted(findings, key=lambda finding: -finding.probability)),
             joint_gaps(reduction, first, last),
             doubts(first.base),
-            tuple(untold(first.base)),
+            tuple(unidentifiable(first.base)),
             self._cannot_tell(reduction),
             baseline,
             returned,

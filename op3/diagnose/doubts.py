@@ -29,7 +29,7 @@ UNTOLD = 0.8
 
 def at_bound(base: Baseline) -> list[Coordinate]:
     """Shared numbers that logs exercise and that ended where their range does, but not what physics allows."""
-    result, known, unexercised = [], base.coordinates.model.parameters(), set(untold(base))
+    result, known, unexercised = [], base.coordinates.model.parameters(), set(unidentifiable(base))
     for entry, value in zip(base.coordinates.entries, base.point, strict=True):
         reach, one = AT_BOUND * (entry.high - entry.low), known[split_name(entry.parameter)[0]]
         low, high = value - entry.low < reach, entry.high - value < reach
@@ -74,7 +74,7 @@ def far_apart(coordinates: Coordinates, one: np.ndarray, other: np.ndarray) -> l
     return [entry.parameter for entry, is_far in zip(coordinates.entries, far, strict=True) if entry.shared and is_far]
 
 
-def untold(base: Baseline) -> list[str]:
+def unidentifiable(base: Baseline) -> list[str]:
     """Shared numbers that do something, of which the logs say little more than their priors."""
     kept = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation * base.linear.base.any((1, 2, 3))
     both = zip(base.coordinates.entries, kept, strict=True)

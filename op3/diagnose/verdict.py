@@ -111,7 +111,7 @@ class Verdict:
         findings: most probable first.
         joints: what each joint lacks, by name.
         doubts: sentences about the baseline fit: numbers at a bound, other optima.
-        untold: shared numbers that are not identifiable from these logs.
+        unidentifiable: shared numbers that are not identifiable from these logs.
         cannot_tell: what the logs do not show, and what to record.
         base: the baseline fit: the given model refitted without new effects.
         model: the returned model: the baseline with every finding.
@@ -129,7 +129,7 @@ class Verdict:
     findings: tuple[Finding, ...]
     joints: Mapping[str, JointGap]
     doubts: tuple[str, ...]
-    untold: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
     cannot_tell: tuple[str, ...]
     base: RobotModel
     model: RobotModel
@@ -189,7 +189,7 @@ class Verdict:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "base": plain({name: getattr(self, name) for name in ("doubts", "untold", "chain", "ends")}),
+            "base": plain({name: getattr(self, name) for name in ("doubts", "unidentifiable", "chain", "ends")}),
             "findings": [plain(one) | {"separate_by": one.separate_by} for one in self.findings],
             **{
                 name: plain(getattr(self, name))

@@ -1,6 +1,7 @@
 """Many robots at a task, stepped together: a natively batched TorchRL environment."""
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from math import inf
 from typing import Any
 
@@ -13,6 +14,7 @@ from torchrl.envs import EnvBase
 from op3.common.settings import CONTROL_PERIOD
 from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
+from op3.policy.leg_kinematics import PROCESSOR
 from op3.robot import load_robot
 from op3.scenes import build_scene, tile_ids
 from op3.servo import RobotModel
@@ -20,7 +22,7 @@ from op3.sim import BatchSimulation, attach_servos
 from op3.sim.batch_simulation import torch_view
 from op3.tasks.episodes import World, episode_seed
 from op3.tasks.mdp import Mdp
-from op3.tasks.snapshot import Probe, Snapshot
+from op3.tasks.snapshot import Probe, Snapshot, moved
 from op3.tasks.task import POLICY_PERIOD, TICKS, Task
 from op3.tasks.whole_step import WholeStep
 
@@ -38,6 +40,7 @@ class BatchedEnv(EnvBase):
         gain_scale: factor on every P and D gain that is commanded, as of servos stronger or weaker than they are known.
         timestep: of the physics [s]; None: that of the scene, 1 ms.
         num_threads: threads that step the physics; 0 for all processors.
+        device: of the terms, observations and rewards; the physics stays on the processor.
 
     Raises:
         ValueError: if a term of the task cannot be, a parameter is unknown, or one that `parameters` gives is also
@@ -57,8 +60,9 @@ class BatchedEnv(EnvBase):
         gain_scale: float = 1.0,
         timestep: float | None = None,
         num_threads: int = 0,
+        device: torch.device | str = "cpu",
     ):
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
+        super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
         if not 0 < gain_scale < inf:
             raise ValueError(f"gain_scale must be a number above 0, got {gain_scale}")
         self.task, self.model = task, model
@@ -67,7 +71,8 @@ class BatchedEnv(EnvBase):
         self.scene = build_scene(task.scene, robot=load_robot(task.robot))
         attach_servos(self.scene.joints)
         try:
-            self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
+            with self._there():
+                self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
         except RuntimeError as error:
             if "can't allocate memory" in str(error):  # torch has no error of its own for it on processors
                 raise MemoryError(f"no memory for {num_envs} robots") from None
@@ -178,23 +183,27 @@ class BatchedEnv(EnvBase):
         """Give robots other parameters from now on, as the constructor's `parameters`."""
         self._fixed = dict(values)
         joints = self.scene.joint_names
-        drawn = {name: self.model.for_joints(name, value, joints) for name, value in self.parameters_drawn.items()}
+        drawn = {
+            name: self.model.for_joints(name, value.cpu(), joints) for name, value in self.parameters_drawn.items()
+        }
         self.simulation.set_parameters({**self._fixed, **drawn})
 
     def _begin(self, seeds: Mapping[int, int]) -> TensorDict:
         rows = np.array(sorted(seeds), dtype=np.int64)
         drawn = np.array([seeds[int(row)] for row in rows], dtype=np.int64)
         self.episode_seeds[rows] = drawn
-        episodes = self.mdp.begin(rows, drawn)
+        with self._there():
+            episodes = self.mdp.begin(rows, drawn)
         commands = self._scaled(self.mdp.resting_commands(len(rows)))
         every = len(rows) == self.num_envs
         self.simulation.reset(episodes.qpos, commands, episodes.qvel, rows=None if every else rows)
-        return answer(self.mdp, self.mdp.begun(self.snapshot()))
+        with self._there():
+            return answer(self.mdp, self.mdp.begun(self._moved(self.snapshot())))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
         self.simulation.command(**self._scaled(self.action_map.commands(action)))
-        time = self.mdp.time.numpy()
+        time = self.mdp.time.cpu().numpy()
         self._whole_step.begin(self._sites)
         for tick in range(TICKS):
             now = time + tick * CONTROL_PERIOD
@@ -205,14 +214,23 @@ class BatchedEnv(EnvBase):
             self.mdp.tick(now)
             self.simulation.advance()
         throughout = self._whole_step.result()
-        outcome = self.mdp.finish(action, self.snapshot(), throughout, self.simulation.failed)
-        return answer(self.mdp, outcome.observation, outcome, throughout)
+        with self._there():
+            measured = map(self._moved, (self.snapshot(), throughout, self.simulation.failed))
+            outcome = self.mdp.finish(action, *measured)
+            return answer(self.mdp, outcome.observation, outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Commands as the servos get them."""
-        if self._gain_scale == 1.0:
-            return commands
-        return {name: value * self._gain_scale if "gain" in name else value for name, value in commands.items()}
+        """Commands as the servos get them, on the processor."""
+        scale = self._gain_scale
+        return {name: (value * scale if "gain" in name else value).cpu() for name, value in commands.items()}
+
+    def _there(self) -> AbstractContextManager:
+        """Where new tensors are made on the environment's device."""
+        return nullcontext() if self.device == PROCESSOR else self.device
+
+    def _moved(self, measured: Any) -> Any:
+        """A tensor, or an object of tensors, of the simulation on the environment's device."""
+        return measured if self.device == PROCESSOR else moved(measured, self.device)
 
     def _look(self) -> None:
         simulation = self.simulation

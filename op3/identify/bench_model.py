@@ -26,7 +26,7 @@ def suited(model: RobotModel, logs: Sequence[Rollout]) -> RobotModel:
     if servo not in BENCH_BASES:
         raise LogError(
             f"the model is driven by current, but these logs are of a servo {servo!r} with a position loop of its own",
-            "give a model of that servo, such as conf/servo/xl330_m1.yaml",
+            "give a model of that servo, such as assets/models/xl330_m1.yaml",
             source=first.metadata.recording,
             column="field servo",
         )

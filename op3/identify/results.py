@@ -7,7 +7,7 @@ import optuna
 import yaml
 from optuna.trial import TrialState
 
-from op3.rollout.files import write_text
+from op3.common.writing import write_text
 
 RESULTS_FILE = "optimization_results.yaml"
 

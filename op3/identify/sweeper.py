@@ -37,11 +37,11 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
+from op3.common.writing import write_text
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
 from op3.identify.study import Evaluate, TrialOutcome, as_outcome, evaluate_population
 from op3.identify.study_settings import StudySettings, read_settings
-from op3.rollout.files import write_text
 
 log = logging.getLogger(__name__)
 

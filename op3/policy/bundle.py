@@ -12,9 +12,9 @@ import torch
 from torch.nn import functional
 
 from op3.common.assets import here_or_shipped
+from op3.common.writing import write_folder
 from op3.policy.actions import Array
 from op3.policy.manifest import Manifest
-from op3.rollout.files import write_folder
 
 WEIGHTS = "policy.pt"
 MANIFEST = "manifest.yaml"

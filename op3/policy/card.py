@@ -10,9 +10,9 @@ import yaml
 
 from op3.common.assets import here_or_shipped
 from op3.common.settings import Count, Named, NotNegative, Share, settings
+from op3.common.writing import write_text
 from op3.policy.bundle import PolicyBundle
 from op3.robot.self_collision import LARGEST_OVERLAP
-from op3.rollout.files import write_text
 
 CARD = "card.yaml"
 FORMAT = "op3-card/1"

@@ -14,6 +14,8 @@ from torch import Tensor
 
 from op3.robot import Robot
 
+PROCESSOR = torch.device("cpu")
+
 
 class Chains:
     """Forward kinematics of chains of hinges that hang on the base, batched, in torch float64, differentiable.
@@ -33,17 +35,18 @@ class Chains:
         place, turn = data.xpos[base].copy(), data.xmat[base].reshape(3, 3).copy()
         joints = np.array([[model.joint(name).id for name in chain] for chain in chains])
         # [joint of the chain, chain, ...]
-        self._index = torch.from_numpy(np.array([robot.indices(chain) for chain in chains]).T.copy())
+        self._index = torch.as_tensor(np.array([robot.indices(chain) for chain in chains]).T.copy())
         anchor = (data.xanchor[joints.T] - place) @ turn
-        self._offset = torch.from_numpy(np.diff(anchor, axis=0, prepend=0.0))
-        axis = torch.from_numpy(data.xaxis[joints.T] @ turn)
+        self._offset = torch.as_tensor(np.diff(anchor, axis=0, prepend=0.0))
+        axis = torch.as_tensor(data.xaxis[joints.T] @ turn)
         self._axis = axis
+        self._identity = torch.eye(3, dtype=torch.float64)
         skew = torch.zeros(self._length, self._chains, 3, 3, dtype=torch.float64)
         x, y, z = axis.unbind(-1)
         skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -z, y, -x
         self._skew = skew - skew.mT
         self._square = self._skew @ self._skew
-        self._points = torch.from_numpy((points - place) @ turn - anchor[-1][:, None])
+        self._points = torch.as_tensor((points - place) @ turn - anchor[-1][:, None])
 
     def position(self, joint_position: Tensor) -> Tensor:
         """Of the first chain's first point relative to the base, ``[..., xyz]`` in m; angles as of `key_points`."""
@@ -65,9 +68,8 @@ class Chains:
             raise ValueError(f"joint_position must end with {self._count} joints, got {tuple(joint_position.shape)}")
         angle = joint_position[..., self._index]  # [..., joint of the leg, leg]
         sine, versine = torch.sin(angle)[..., None, None], 1.0 - torch.cos(angle)[..., None, None]
-        turns = _IDENTITY + sine * self._skew + versine * self._square  # Rodrigues
-        rotation: Tensor = _IDENTITY
-        origin = torch.zeros(3, dtype=torch.float64)
+        turns = self._identity + sine * self._skew + versine * self._square  # Rodrigues
+        rotation, origin = self._identity, torch.zeros_like(self._identity[0])
         axes, origins = [], []
         for joint in range(self._length):
             origin = origin + (rotation @ self._offset[joint][..., None])[..., 0]
@@ -82,9 +84,6 @@ class Chains:
         return points.flatten(-3, -2), velocity.flatten(-3, -2)
 
 
-_IDENTITY = torch.eye(3, dtype=torch.float64)
-
-
 def _at_zero(robot: Robot) -> mujoco.MjData:
     """The bare robot with all its angles at zero."""
     data = mujoco.MjData(robot.bare_model)
@@ -94,8 +93,11 @@ def _at_zero(robot: Robot) -> mujoco.MjData:
 
 
 @lru_cache(maxsize=4)
-def leg_kinematics(robot: Robot) -> Chains:
+def leg_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
     """A robot's legs and the key points of their soles; without any the origins of its feet.
+
+    Args:
+        device: of the angles that will be given.
 
     Raises:
         ValueError: if it has no feet, or legs of different numbers of joints.
@@ -104,16 +106,21 @@ def leg_kinematics(robot: Robot) -> Chains:
         raise ValueError(f"key points need legs of equally many joints; {robot.name} has {len(robot.legs)} feet")
     data, file = _at_zero(robot), robot.file
     points = [data.site(n).xpos for n in file.key_points] or [data.body(n).xpos for n in file.feet]
-    return Chains(robot, robot.legs, np.array(points).reshape(len(robot.legs), -1, 3))
+    with device:
+        return Chains(robot, robot.legs, np.array(points).reshape(len(robot.legs), -1, 3))
 
 
 @lru_cache(maxsize=4)
-def tip_kinematics(robot: Robot) -> Chains:
+def tip_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
     """The joints that move an arm's tip, and the tip.
+
+    Args:
+        device: of the angles that will be given.
 
     Raises:
         ValueError: if its file names no tip.
     """
     if robot.file.tip is None:
         raise ValueError(f"the file of the robot {robot.name} names no tip")
-    return Chains(robot, [robot.arm], _at_zero(robot).site(robot.file.tip).xpos[None, None])
+    with device:
+        return Chains(robot, [robot.arm], _at_zero(robot).site(robot.file.tip).xpos[None, None])

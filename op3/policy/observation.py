@@ -112,7 +112,7 @@ class Observer:
             deviation, resolution = term.options["noise"], term.options["resolution"]
             if deviation and noise is not None:
                 drawn = np.stack([generator.standard_normal(value.shape[-1]) for generator in noise])
-                value = value + deviation * torch.from_numpy(drawn).view(value.shape)
+                value = value + deviation * torch.from_numpy(drawn).view(value.shape).to(value)
             if resolution:
                 value = torch.round(value / resolution) * resolution
             parts.append(self._delayed(term, value, rows, begins) if term.options["delay"] else value)

@@ -58,7 +58,7 @@ class Sensed:
     def key_points(self, robot: Robot) -> tuple[Tensor, Tensor]:
         """Position [m] and velocity [m/s] of the key points of the soles relative to the base, in its frame."""
         if robot.name not in self._computed:
-            legs = leg_kinematics(robot)
+            legs = leg_kinematics(robot, self.joint_position.device)
             self._computed[robot.name] = legs.key_points(self.joint_position.double(), self.joint_velocity.double())
         return self._computed[robot.name]
 
@@ -80,7 +80,7 @@ def joint_position(sensed: Sensed, robot: Robot) -> Tensor:
 
 def tip_position(sensed: Sensed, robot: Robot) -> Tensor:
     """Where the tip of an arm is relative to its base, by its joint angles [m]."""
-    return tip_kinematics(robot).position(sensed.joint_position.double())
+    return tip_kinematics(robot, sensed.joint_position.device).position(sensed.joint_position.double())
 
 
 def joint_velocity(sensed: Sensed) -> Tensor:

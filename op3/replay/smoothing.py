@@ -196,7 +196,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
         raise LogError("the log is too short", "record some seconds", source=log.metadata.recording, column="time")
     if "joint/position" not in log or "command/position" not in log:
         raise LogError(
-            "the log lacks joint positions or commands",
+            "the log has no joint positions or no commands",
             "record <joint>.position and <joint>.target",
             source=log.metadata.recording,
         )

@@ -13,9 +13,9 @@ import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
 from op3.common.private import scrub
+from op3.common.writing import write_text
 from op3.report.style import DARK, words
 from op3.report.tables import Cell, TableRows, ends, number, span
-from op3.rollout.files import write_text
 
 LIBRARY = "plotly.min.js"
 """Draws the figures; it lies beside the pages of a folder, or above those of a multirun's numbered folders."""

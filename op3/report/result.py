@@ -10,10 +10,10 @@ import yaml
 
 from op3.common.private import scrub
 from op3.common.wandb_settings import WandbSettings
+from op3.common.writing import write_text
 from op3.report.page import Page
 from op3.report.run_logger import RunLogger
 from op3.report.style import NAMES
-from op3.rollout.files import write_text
 from op3.servo import Estimate, catalogue
 
 HEADER = """\

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from PIL import Image
 
+from op3.common.writing import write_file
 from op3.report.frames import draw_frames
 from op3.robot.robot import Robot
-from op3.rollout.files import write_file
 from op3.scenes.scene import build_scene
 
 

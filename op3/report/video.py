@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from op3.common.writing import write_file
 from op3.report.frames import RenderError, draw_frames
 from op3.rollout import Rollout
-from op3.rollout.files import write_file
 from op3.scenes import Scene
 
 

@@ -11,16 +11,25 @@ others are held to it by equalities. Tendons, other equalities, sensors and keyf
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from op3.robot.robot_file import RobotFile
+from op3.robot.robot_file import RobotFile, slide_of
 
 USED, REPLACED, IGNORED = "used", "replaced by the servo model", "ignored"
+
+_ROTOR = (0.1, 0.0025)
+"""Radius [m] and mass [kg] of the sphere, which nobody sees, that a servo of a slide turns: little beside a geared
+motor's inertia, and enough for its equality, which is the softer the lighter the hinge is."""
+
+_FIRM = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Impedance of the equality that moves a slide, MuJoCo's largest: it adds the inverse inertias of hinge and slide as if
+one moved the other by as much [rad, m], which makes the usual one soft."""
 
 _STIFF = (0.002, 1.0)
 """Time constant [s] and damping ratio of the equality that couples a joint."""
@@ -79,7 +88,8 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
     for mesh in spec.meshes:
         if "package:" in mesh.file:
             mesh.file = str(_of_package(mesh.file, path))
-    followed = _followed(spec, content)
+    slides = _drive_slides(spec, content)
+    followed = _followed(spec, content, slides)
     parts = tuple(part for part in _parts(spec, content, followed) if part.names)
     around = spec.worldbody.geoms if content.base else ()
     for element in (*spec.actuators, *spec.sensors, *spec.keys, *spec.equalities, *spec.tendons, *around):
@@ -96,13 +106,35 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
         data = np.zeros(mujoco.mjNEQDATA)
         data[:2] = offset, ratio
         names = {"name1": name} if driver is None else {"name1": name, "name2": driver}
-        kinds = {"type": mujoco.mjtEq.mjEQ_JOINT, "objtype": mujoco.mjtObj.mjOBJ_JOINT, "solref": _STIFF}
+        kinds: dict[str, Any] = {
+            "type": mujoco.mjtEq.mjEQ_JOINT,
+            "objtype": mujoco.mjtObj.mjOBJ_JOINT,
+            "solref": _STIFF,
+        }
+        if driver in slides:
+            kinds["solimp"] = _FIRM
         spec.add_equality(name=f"{name}_follows", data=data, active=True, **kinds, **names)
     return ModelSource(spec, followed, parts)
 
 
-def _followed(spec: mujoco.MjSpec, content: RobotFile) -> Followed:
-    """What the file says of joints without a servo, and what the model says of those that neither lists."""
+def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
+    """Give each slide that a servo moves a hinge of its name, which it follows; how far, by joint [m/rad]."""
+    travels = {name: entry.travel for name, entry in content.joints.items() if entry.travel}
+    slides = [one for one in spec.joints if one.name in travels and one.type == mujoco.mjtJoint.mjJNT_SLIDE]
+    for slide in slides:
+        name = slide.name
+        slide.name = slide_of(name)
+        rotor = slide.parent.parent.add_body(name=f"{name}_servo")
+        shape = {"size": [_ROTOR[0], 0, 0], "mass": _ROTOR[1], "rgba": [0, 0, 0, 0], "contype": 0, "conaffinity": 0}
+        rotor.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, **shape)
+        ends = sorted(np.array(slide.range) / travels[name])
+        rotor.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, limited=slide.limited, range=ends)
+    return {name: travels[name] for name in travels if spec.joint(slide_of(name)) is not None}
+
+
+def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, float]) -> Followed:
+    """What the file says of joints without a servo, and what the model says of those that neither lists; what follows a
+    slide follows the servo that moves it."""
     told = {name: entry for name, entry in content.unpowered.items() if not entry.passive}
     known = {joint.name for joint in spec.joints}  # other names are refused by the check of the file
     told = {n: e for n, e in told.items() if n in known and (not e.coupled or e.coupled.joint in content.joints)}
@@ -113,7 +145,9 @@ def _followed(spec: mujoco.MjSpec, content: RobotFile) -> Followed:
     for name, coupling in _mimics(spec).items():
         if name not in content.joints and name not in content.unpowered and coupling[0] in content.joints:
             found[name] = coupling
-    return found
+    for name, (driver, ratio, offset) in found.items():
+        found[name] = (driver, ratio * slides.get(driver or "", 1.0), offset)
+    return found | {slide_of(name): (name, travel, 0.0) for name, travel in slides.items()}
 
 
 def _mimics(spec: mujoco.MjSpec) -> dict[str, tuple[str, float, float]]:
@@ -141,7 +175,8 @@ def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Itera
     yield Part("coupling", tuple(f"{n} to {driver}" for n, driver in own.items()), f"{IGNORED}: it has its own servo")
     told = {*own, *(name for name, (driver, *_) in followed.items() if driver)}
     others = (one for one in spec.equalities if one.type != mujoco.mjtEq.mjEQ_JOINT or one.name1 not in told)
-    yield Part("equalities", tuple(one.name or f"{one.name1} and {one.name2}" for one in others), IGNORED)
+    named = (one.name or " and ".join(filter(None, (one.name1, one.name2))) for one in others)
+    yield Part("equalities", tuple(named), IGNORED)
     yield Part("coupling", tuple(f"{n} to {driver}" for n, (driver, *_) in followed.items() if driver), USED)
     yield Part("held position", tuple(name for name, (driver, *_) in followed.items() if not driver), USED)
     yield Part("spring, damping and friction", free, f"{USED}, as passive joints")

@@ -346,7 +346,9 @@ def _source(file: DataFile, path: Path, content: RobotFile) -> tuple[mujoco.MjMo
         raise file.fault(("model",), f"names {path}, where there is no file")
     try:
         source = read_model(path, content)
-        return source.spec.compile(), source
+        model = source.spec.compile()
+        model.names.decode()  # bytes that are no text are found here
+        return model, source
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise file.fault(("model",), f"names {path.name}, which cannot be read: {reason}") from None

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 from pydantic import Field, model_validator
 
-from op3.common.assets import named_configs
+from op3.common.assets import model_names
 from op3.robot.data_file import DataFile, Real, Record, among
 from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
 
@@ -59,6 +59,8 @@ class JointEntry(Record):
         home: angle in the robot's home pose [rad].
         peak_current: largest current that software may command [A]; None: the largest of its make.
         mirror: joint on the other side; None where there is none.
+        travel: how far a slide of the model moves per angle of the servo that drives it [m/rad]; the joint is then that
+            angle. None: a hinge.
         log: what a foreign log of it holds.
     """
 
@@ -68,6 +70,7 @@ class JointEntry(Record):
     home: Real = 0.0
     peak_current: Real | None = Field(default=None, gt=0)
     mirror: str | None = None
+    travel: Real | None = None
     log: LogChannel = LogChannel()
 
 
@@ -141,7 +144,7 @@ class RobotFile(Record):
         tip: site at the end of an arm, which tasks move to a place.
         servo: make of the servos of all joints that name none.
         loop: who closes the loop of all servos; None: as their makes say.
-        law: servo model that is taken where none is asked for, a name in conf/servo; None: one made of its servos.
+        law: servo model that is taken where none is asked for, a name in assets/models; None: one made of its servos.
         board: what switches the servos' supply and holds the IMU on the bus; None: the servos have power, and no IMU.
         joints: those with a servo, by name, in the order of the model; entries that say `passive`, `coupled` or `held`
             become `unpowered`.
@@ -167,7 +170,7 @@ class RobotFile(Record):
     tip: str | None = None
     servo: str | None = None
     loop: Loop | None = None
-    law: Annotated[str, among("law", named_configs("servo"))] | None = None
+    law: Annotated[str, among("law", model_names())] | None = None
     board: Literal["opencr"] | None = None
     controlled: tuple[str, ...] | None = Field(default=None, min_length=1)
     poses: dict[str, dict[str, Real]] = {}
@@ -228,6 +231,11 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupl
         raise file.fault(("key_points",), f"are {len(content.key_points)}, not as many for each of the feet")
 
 
+def slide_of(joint: str) -> str:
+    """What a slide is called in the compiled model that a joint of this name drives."""
+    return f"{joint}_slide"
+
+
 def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupled: Collection[str]) -> None:
     hinges = [model.joint(number).name for number in range(model.njnt)]
     makes: list[ServoMake] = []
@@ -239,8 +247,17 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if name not in hinges:
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] != mujoco.mjtJoint.mjJNT_HINGE:
-            problem = "is no hinge in the model, and a servo drives hinges only: write `held: 0.0` where it stays, or "
-            raise file.fault(place, problem + "`coupled: {joint: <hinge>, ratio: <m/rad>}` where a hinge drives it")
+            problem = (
+                "is no hinge in the model: write `travel: <m/rad>` for how far its servo moves a slide, `held: 0.0` "
+            )
+            problem += "where it stays, or `coupled: {joint: <hinge>, ratio: <m/rad>}` where a hinge drives it"
+            raise file.fault(place, problem)
+        if entry.travel is not None and slide_of(name) not in hinges:
+            raise file.fault((*place, "travel"), "is of a slide, and the model has a hinge here; leave it out")
+        if entry.travel is not None and not 1e-4 <= abs(entry.travel) <= 1:
+            raise file.fault(
+                (*place, "travel"), f"is {entry.travel:g} m/rad, which no gear of a servo makes; write m/rad"
+            )
         makes.append(_make(file, content, name))
         if (loop := content.loop or makes[-1].loop) != (content.loop or makes[0].loop):
             first = f"{next(iter(content.joints))} has {makes[0].loop!r} ({makes[0].name})"
@@ -262,11 +279,14 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if name not in hinges:
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
-            raise file.fault(place, "is a ball in the model; take it out of there, which holds it")
+            raise file.fault(place, "is a ball joint in the model: remove it from the model, which fixes the part")
         if entry.coupled and entry.coupled.joint not in content.joints:
             raise file.unknown((*place, "coupled"), "joint with a servo", entry.coupled.joint, content.joints)
     known = {*content.joints, *content.unpowered, *coupled}
     for name in hinges:
+        if name not in known and model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
+            problem = f"leave out {name!r}, a ball, which no servo drives; take it out of the model, which holds it"
+            raise file.fault(("joints",), problem)
         if name not in known:
             problem = (
                 f"leave out the model's joint {name!r}: list it with its servo, or as `{name}: {{passive: true}}`, "
@@ -297,7 +317,7 @@ def _check_partners(file: DataFile, content: RobotFile) -> None:
         if entry.mirror not in content.joints:
             raise file.unknown(place, "joint", entry.mirror, content.joints)
         if entry.mirror == name:
-            raise file.fault(place, "is the joint itself; leave it out")
+            raise file.fault(place, "names the joint itself; leave `mirror` out")
         if taken := [one for one, other in pair.items() if partners.setdefault(one, other) != other]:
             raise file.fault(place, f"is {entry.mirror}, but {taken[0]} has the partner {partners[taken[0]]} already")
 

@@ -1,4 +1,4 @@
-"""The one error of the log format: a sentence that says where, what, and how to mend it."""
+"""The one error of the log format: a sentence that says where, what, and how to correct it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class LogError(ValueError):
 
     Args:
         problem: What is wrong, with the offending value.
-        remedy: How to mend it.
+        remedy: How to correct it.
         source: The file or object the log came from.
         column: Column name as in the wide CSV (`elbow.position`), or a metadata field (`field rate`).
         row: Data row counted from 1, or the word `header`.

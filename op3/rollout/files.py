@@ -1,5 +1,4 @@
-"""Files that are there whole or not at all, memory-mapped TensorDicts that cannot be spoilt by reading, and the rows
-of a recording that has not been finished.
+"""Memory-mapped TensorDicts that cannot be spoilt by reading, and the rows of a recording that has not been finished.
 
 TensorDict's own loader maps files shared and writable: an in-place operation on loaded data changes the file,
 and a file cut short is silently grown with zeros. The loader here checks the size and maps copy-on-write.
@@ -7,14 +6,11 @@ and a file cut short is silently grown with zeros. The loader here checks the si
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import operator
 import os
 import re
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,72 +23,6 @@ from op3.rollout.schema import Key, normal_key
 
 _DTYPES = {"torch.float64": np.dtype(np.float64), "torch.bool": np.dtype(np.bool_)}
 _RESTORE = "copy the rollout folder again or restore it from a backup"
-
-
-def sync(path: Path) -> None:
-    """Force a file or folder to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
-
-
-def write_file(path: Path, fill: Callable[[Path], object]) -> None:
-    """Write a file by `fill(temporary path)`, so that a reader finds the old one or the new, never a part."""
-    temporary = _temporary(path)
-    try:
-        fill(temporary)
-        sync(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    sync(path.parent)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text; see `write_file`."""
-    write_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline=""))
-
-
-def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = False) -> None:
-    """Make a folder by `fill(temporary folder)` and put it in place by renaming.
-
-    Args:
-        path: Where the folder shall be.
-        fill: Writes the contents into the empty folder it is given.
-        overwrite: Whether a folder already there is replaced.
-    """
-    there = LogError("there is something already", "choose another folder or pass overwrite=True", source=path)
-    if path.exists() and not overwrite:
-        raise there
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = _temporary(path)
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    try:
-        fill(temporary)
-        for file in temporary.rglob("*"):
-            sync(file)
-        sync(temporary)
-        old = path.with_name(f".{path.name}.{os.getpid()}.old")
-        shutil.rmtree(old, ignore_errors=True)
-        if overwrite and path.exists():
-            os.rename(path, old)
-        try:
-            os.rename(temporary, path)
-        except OSError as error:  # another process was faster
-            if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                raise there from None
-            raise
-        sync(path.parent)
-        shutil.rmtree(old, ignore_errors=True)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def save_tensordict(data: TensorDictBase, folder: Path) -> None:
@@ -126,7 +56,7 @@ def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     shape = [operator.index(size) for size in entry["shape"]]
     size, wanted = path.stat().st_size if path.is_file() else 0, math.prod(shape) * dtype.itemsize
     if size != wanted:
-        raise LogError(f"the file has {size} bytes where {wanted} belong", _RESTORE, source=path)
+        raise LogError(f"the file has {size} bytes, expected {wanted}", _RESTORE, source=path)
     return torch.from_numpy(np.memmap(path, dtype=dtype, mode="c", shape=tuple(shape)))
 
 

@@ -80,7 +80,7 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         return Column(f"imu.{axis}", unit, why=f"{name!r} names an angle of the trunk")
     meant = {_WORDS[word] for word in lower if word in _WORDS}
     if {"error", "err"} & set(lower) or (meant & {normal_key("command/position")} and meant & _NO_POSITIONS):
-        return Column(None, why=f"{name!r} names no angle, nor what was told to have one")
+        return Column(None, why=f"{name!r} is neither an angle nor the target of one")
     word = next((word for word in (*_WORDS, *_SENSED) if word in lower), None)
     if word is not None:
         known = {*_WORDS, *_FILLERS, *_UNITS}

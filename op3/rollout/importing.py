@@ -343,6 +343,9 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
         if channel.axes == "joint" and where not in metadata.joints and strict:
             remedy = rename(where, metadata.joints, "correct it")
             remedy += f", or add it to the joints in {side.source.name}"
+            lacks = [n for n in column_names(channel, metadata.joints) if channel.required and n not in columns]
+            if lacks:
+                remedy = f"say whose it is under `columns:` in the YAML, as in `<column>: {lacks[0]}`"
             raise LogError("unknown joint", remedy, column=name, row="header")
         if channel.axes == "vector":
             # as many as there are is enough to name one that is missing

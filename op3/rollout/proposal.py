@@ -60,7 +60,7 @@ def _in_counts(
     """The columns, with angles that are an encoder's counts in its unit, and what is guessed of that.
 
     Whole numbers beyond any angle are counts. The robot's file knows the servo; else those of 4096 a turn stand around
-    2048, and those of 1024 in 300 degrees around 512.
+    2048, those of 1024 in 300 degrees around 512, and those of 16 bits a turn around 32768.
     """
     kind = {name: str(column.name).rpartition(".")[2] for name, column in columns.items()}
     angles = {name for name in columns if kind[name] in ("position", "target")}
@@ -71,7 +71,8 @@ def _in_counts(
         return columns, []
     numbers = np.concatenate([values[name][np.isfinite(values[name])] for name in chosen])
     small = numbers.max() < 1024 and numbers.min() >= 0 and 256 < np.median(numbers) < 768
-    unit = "counts of 1024 in 300 deg" if small else "counts of 4096 a turn"
+    fine = numbers.max() < 2**16 and numbers.min() >= 0 and 2**14 < np.median(numbers) < 3 * 2**14
+    unit = "counts of 1024 in 300 deg" if small else "counts of 65536 a turn" if fine else "counts of 4096 a turn"
     found, why = dict(columns), f"whole numbers of {numbers.min():g} to {numbers.max():g}"
     for name, column in columns.items():
         joint = called(robot).get(str(column.name).rpartition(".")[0]) if robot and column.name else None
@@ -85,7 +86,8 @@ def _in_counts(
     if robot is not None:
         return found, []
     others = "a servo of 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
-    other = f"those of {others}, in their middle" if small else f"those of 4096 a turn, and not of {others}"
+    other = f"those {unit.removeprefix('counts ')}, and not those of {others}"
+    other = f"those of {others}, in their middle" if small else other
     return found, [f"{why} are taken for {other}; name the servo's own `unit:` where it is another"]
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from op3.common.writing import write_folder, write_text
 from op3.rollout import files
 from op3.rollout.errors import LogError, located
 from op3.rollout.metadata import Metadata
@@ -52,7 +53,7 @@ class Recorder:
         self._stop = threading.Event()
         self._failure: OSError | None = None
         text = self.metadata.to_yaml()
-        files.write_folder(self.folder, lambda f: files.write_text(f / METADATA_FILE, text))
+        write_folder(self.folder, lambda f: write_text(f / METADATA_FILE, text))
         self._stream = (self.folder / ROWS_FILE).open("wb", buffering=0)
         self._thread = threading.Thread(target=self._keep_flushing, daemon=True)
         self._thread.start()
@@ -176,7 +177,7 @@ class Recorder:
             raise LogError("no row was recorded", "append rows before closing", source=self.folder)
         partial = Rollout.from_arrays(files.read_rows(self.folder / ROWS_FILE), self.metadata, self.folder)
         metadata = self.metadata.replace(**{**changes, "complete": True})
-        files.write_folder(self.folder / DATA_FOLDER, lambda f: files.save_tensordict(partial.data, f))
-        files.write_text(self.folder / METADATA_FILE, metadata.to_yaml())
+        write_folder(self.folder / DATA_FOLDER, lambda f: files.save_tensordict(partial.data, f))
+        write_text(self.folder / METADATA_FILE, metadata.to_yaml())
         (self.folder / ROWS_FILE).unlink()
         return Rollout.load(self.folder)

@@ -15,6 +15,7 @@ import torch
 import yaml
 from tensordict import TensorDict, TensorDictBase
 
+from op3.common.writing import write_folder, write_text
 from op3.robot.robot import DEFAULT, Robot, load_robot
 from op3.robot.servo_make import ServoMake, find_servo
 from op3.rollout import files
@@ -276,9 +277,9 @@ class Rollout:
 
         def fill(temporary: Path) -> None:
             files.save_tensordict(self.data, temporary / DATA_FOLDER)
-            files.write_text(temporary / METADATA_FILE, self.metadata.to_yaml())
+            write_text(temporary / METADATA_FILE, self.metadata.to_yaml())
 
-        files.write_folder(folder, fill, overwrite)
+        write_folder(folder, fill, overwrite)
         return folder
 
     @classmethod
@@ -319,8 +320,8 @@ class Rollout:
         lines = [",".join(header)]
         lines += [",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        files.write_text(path.with_suffix(".yaml"), self.metadata.to_yaml())
-        files.write_text(path, "\n".join(lines) + "\n")
+        write_text(path.with_suffix(".yaml"), self.metadata.to_yaml())
+        write_text(path, "\n".join(lines) + "\n")
         return path
 
 

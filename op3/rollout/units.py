@@ -22,6 +22,7 @@ UNITS: dict[str, dict[str, float]] = {
         "turn": _TURN,
         "counts of 4096 a turn": _TURN / 4096,
         "counts of 1024 a turn": _TURN / 1024,
+        "counts of 65536 a turn": _TURN / 65536,
         "counts of 1024 in 300 deg": 300 * _DEG / 1024,
     },
     "rad/s": {

@@ -112,7 +112,7 @@ def _made(effects: tuple[type[Effect], ...]) -> Kernel:
     memory = [f"{effect.name}_{name}" for effect in effects for name in effect.memory]
     taken = [name for name in memory if name in SIGNALS]
     if taken:
-        raise ValueError(f"memory {', '.join(taken)} has the name of a signal; give it another")
+        raise ValueError(f"memory {', '.join(taken)} has the name of a signal of the law; rename it")
     parameters = np.dtype([(name, np.float64) for name in fields])
     row = np.zeros((1, 1), parameters)
     for name, value in fields.items():

@@ -137,7 +137,7 @@ class BatchSimulation:
             ValueError: if `rows` are given together with readings, from which only all simulations can start.
         """
         if rows is not None and measured:
-            raise ValueError("readings can place all simulations only: omit rows")
+            raise ValueError("readings set the state of all simulations at once: give readings or rows, not both")
         if rows is not None and not len(rows):
             return
         ids = None if rows is None else np.asarray(rows, dtype=np.int64)

@@ -10,7 +10,7 @@ import yaml
 
 from op3.common.assets import find_model
 from op3.common.settings import read_yaml
-from op3.rollout.files import write_text
+from op3.common.writing import write_text
 from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
 

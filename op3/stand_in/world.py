@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -13,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from op3.common.settings import Listed, NotNegative, Number, Positive, Share, Whole, nearest, read_yaml, settings
-from op3.robot import named_configs
+from op3.robot import asset_path
 from op3.stand_in.hidden import Hidden
 
 _SPREAD = (
@@ -210,14 +211,19 @@ class HiddenWorld:
         A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
         to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [elbow]}`.
         """
-        values = read_yaml(path)
-        drawn = values.pop("draw", None)
+        return cls.of(read_yaml(path), str(path))
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], origin: str) -> HiddenWorld:
+        """A world from what its file says; `origin` is named in errors."""
+        values, drawn = dict(values), values.get("draw")
+        values.pop("draw", None)
         try:
             if "hidden" in values:
                 values["hidden"] = [Hidden(**effect) for effect in values["hidden"]]
             return cls(**values) if drawn is None else cls(**{**vars(cls.random(drawn)), **values})
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{origin}: {error}") from None
 
     @classmethod
     def find(cls, name: str | Path, seed: int = 0) -> HiddenWorld:
@@ -232,7 +238,7 @@ class HiddenWorld:
         if Path(name).is_file():
             return cls.load(name)
         if name in world_names():
-            return cls.load(named_configs("stand_in")[str(name)])
+            return cls.of(_worlds()[str(name)], str(name))
         known = ", ".join(world_names())
         raise ValueError(f"there is no world {str(name)!r}; choose random, {known}, or the path of a YAML file")
 
@@ -251,5 +257,10 @@ BENCH_RANGES: Ranges = read_ranges()
 
 
 def world_names() -> tuple[str, ...]:
-    """Names of the worlds that come with the project, in `conf/stand_in/`."""
-    return tuple(named_configs("stand_in"))
+    """Names of the worlds that come with the project, in `assets/worlds.yaml`."""
+    return tuple(_worlds())
+
+
+@lru_cache(maxsize=1)
+def _worlds() -> dict[str, dict[str, Any]]:
+    return read_yaml(asset_path("worlds.yaml"))

@@ -61,6 +61,8 @@ class Outcome:
 class Mdp:
     """A task compiled for so many robots: its terms, and the little memory they need. It simulates nothing.
 
+    Made and called under ``with torch.device("cuda")``, it and its terms have their tensors there.
+
     Args:
         model: of the servos, from which randomisation draws.
 
@@ -102,7 +104,7 @@ class Mdp:
         self.state: State
         self.steps = torch.zeros(num_envs, dtype=torch.int64)
         self._first_phase = torch.zeros(num_envs, dtype=torch.float64)
-        self._first_action = torch.from_numpy(action_map.stand())
+        self._first_action = torch.as_tensor(action_map.stand())
         self._previous = self._first_action.repeat(num_envs, 1)
         self._noise = [np.random.default_rng(0)] * num_envs
 
@@ -229,11 +231,10 @@ class Mdp:
         self._previous = action
         observation = self.observer.push(self._sense(snapshot), self._noise)
         self.privileged = self._privileged(state, self.terms["privileged"])
-        if failed.any():  # what a diverged state would say is worth nothing
-            reward = torch.where(failed, 0.0, reward)
-            terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
-            observation = torch.where(failed[:, None], 0.0, observation)
-            self.privileged = torch.where(failed[:, None], 0.0, self.privileged)
+        # what a diverged state would say is worth nothing
+        reward, observation = torch.where(failed, 0.0, reward), torch.where(failed[:, None], 0.0, observation)
+        terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
+        self.privileged = torch.where(failed[:, None], 0.0, self.privileged)
         truncated = (self.steps >= self.task.steps) & ~terminated
         return Outcome(observation, reward, terms, terminated, truncated, success)
 

@@ -116,8 +116,8 @@ def swing_probability(phase: Tensor) -> Tensor:
     The interval's boundaries are smoothed with a von Mises density, as its Fourier series.
     """
     swing = 1.0 - STANCE_SHARE
-    angle = (phase - swing / 2).double()[..., None] * _FREQUENCY
-    return (swing + (torch.cos(angle) * _WEIGHT).sum(-1)).clamp(0.0, 1.0)
+    angle = (phase - swing / 2).double()[..., None] * _FREQUENCY.to(phase.device)
+    return (swing + (torch.cos(angle) * _WEIGHT.to(phase.device)).sum(-1)).clamp(0.0, 1.0)
 
 
 def swing_of_feet(phase: Tensor, feet: int = 2) -> Tensor:

@@ -4,7 +4,8 @@
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
 
 import mujoco
 import torch
@@ -48,6 +49,15 @@ class Snapshot:
         acceleration = rewards.norm(rewards.body_acceleration(self.specific_force, self.readings["orientation"]))
         rate = rewards.norm(self.readings["angular_velocity"])
         return step.replace(current=rewards.norm(self.current), angular_velocity=rate, acceleration=acceleration)
+
+
+def moved(values: Any, device: torch.device) -> Any:
+    """A tensor, a mapping of tensors, or a snapshot or the like, on a device."""
+    if isinstance(values, Mapping):
+        return {name: moved(value, device) for name, value in values.items()}
+    if is_dataclass(values):
+        return type(values)(**{field.name: moved(getattr(values, field.name), device) for field in fields(values)})
+    return values.to(device) if isinstance(values, Tensor) else values
 
 
 class Probe:

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from op3.rollout.files import write_file
+from op3.common.writing import write_file
 
 FORMAT = "op3-checkpoint/2"
 

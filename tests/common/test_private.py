@@ -9,7 +9,7 @@ import pytest
 
 from op3.common.private import hide, scrub
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(

@@ -123,8 +123,8 @@ def test_servos_differ_as_most_of_the_robot_do():
     spread, moved = with_own_spread(coordinates, point, np.full(len(point), 0.005), Settings())
     assert spread.entries[own[0]].deviation < 0.05
     assert np.abs(moved[own[:5]]).max() < 0.03
-    untold, _ = with_own_spread(coordinates, coordinates.start, coordinates.deviation, Settings())
-    assert untold.entries[own[0]].deviation == pytest.approx(coordinates.entries[own[0]].deviation)
+    unidentifiable, _ = with_own_spread(coordinates, coordinates.start, coordinates.deviation, Settings())
+    assert unidentifiable.entries[own[0]].deviation == pytest.approx(coordinates.entries[own[0]].deviation)
     before, after = (coordinates.values(one[None])["coulomb_friction"] for one in (point, moved))
     assert after.numpy() == pytest.approx(before.numpy())
 
@@ -196,7 +196,7 @@ def verdict(**changes) -> Verdict:
     )
     quiet = JointGap(0.01, 0.002, 0.001, 0.001, False, {"position": 0.1})
     model = load_model("paper")
-    given = {"findings": (finding,), "joints": {"r_knee": quiet}, "doubts": (), "untold": (), "cannot_tell": ()}
+    given = {"findings": (finding,), "joints": {"r_knee": quiet}, "doubts": (), "unidentifiable": (), "cannot_tell": ()}
     return Verdict(**{**given, "base": model, "model": model, **changes})
 
 

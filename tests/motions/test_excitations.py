@@ -7,6 +7,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
+from op3.common.assets import motion_names
+from op3.identify.registration import register
 from op3.motions import (
     Motion,
     check_motion,
@@ -26,19 +28,19 @@ from op3.robot.kinematics import rotation_matrix, sole_normals
 from tests.op3_table import indices
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-LIBRARY = sorted(path.stem for path in (CONF / "motion").glob("*.yaml"))
-GENERAL = {name for name in LIBRARY if "${robot}" in (CONF / "motion" / f"{name}.yaml").read_text()}
+GENERAL = {path.stem for path in (CONF / "motion").glob("*.yaml") if "${robot}" in path.read_text()}
 KNEE = indices(["l_knee"])[0]
 
 
 def configured(name: str) -> Motion:
     """A motion as `collect.py motion=<name>` builds it."""
     robot = "arm" if name in GENERAL else "op3"
+    register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return instantiate(compose("collect", [f"motion={name}", f"robot={robot}"]).motion)
 
 
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize("name", motion_names())
 def test_every_motion_of_the_library_is_safe(name):
     """Soft limits, speed and 5 mm between parts are kept, the name is its file's, and it starts at rest."""
     motion = configured(name)

@@ -196,7 +196,10 @@ def test_robots_travel_between_processes(tmp_path):
             {"home: 0.4": "limits: [-90, 90]"},
             r"line 9: joints.j1.limits go from -90 to 90 rad, beyond the model's -1.5 to 1.5",
         ),
-        ({"home: 0.4": "mirror: j1"}, r"line 9: joints.j1.mirror is the joint itself; leave it out"),
+        (
+            {"home: 0.4": "mirror: j1"},
+            r"line 9: joints.j1.mirror names the joint itself; leave `mirror` out",
+        ),
         (
             {"{bus_id: 1}": "{bus_id: 1, mirror: j1}", "home: 0.4": "mirror: j2"},
             r"line 9: joints.j1.mirror is j2, but j1 has the partner j0 already",

@@ -43,6 +43,30 @@ SLIDE = '<joint name="finger" type="slide" axis="0 0 1" range="-0.05 0.05"/>'
 MIMIC = '<joint joint1="finger" joint2="elbow" polycoef="0.1 -0.5 0 0 0"/>'
 
 
+def test_a_servo_moves_a_slide_by_its_travel(tmp_path):
+    """As a hinge of the slide's name, which the slide follows, and what follows the slide too; so in simulation."""
+    other = '</body><body name="other">' + LINK.format(mass=0.02)
+    other += '<joint name="finger_2" type="slide" axis="0 0 1" range="-0.03 0"/>'
+    mimic = '<joint joint1="finger_2" joint2="finger" polycoef="0 -1 0 0 0"/>'
+    slide = '<joint name="finger" type="slide" axis="0 0 1" range="0 0.03"/>'
+    robot = hand(tmp_path, "  finger: {bus_id: 3, travel: 0.015}\n", mimic, slide + other)
+    assert robot.joints == ("shoulder", "elbow", "finger")
+    assert robot.limits[2] == pytest.approx([0, 2])
+    assert robot.followed["finger_slide"] == ("finger", 0.015, 0.0)
+    assert robot.followed["finger_2"] == ("finger", -0.015, 0.0)
+    assert robot.gravity([0, 0, 1])[2] == pytest.approx((0.05 - 0.02) * 9.81 * 0.015)
+    scene = build_scene("stand", robot=robot)
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.initial_qpos(np.array([0, 0, 1.0]))
+    places = {model.joint(n).name.rpartition("/")[2]: model.jnt_qposadr[n] for n in range(model.njnt)}
+    assert data.qpos[[places["finger_slide"], places["finger_2"]]] == pytest.approx([0.015, -0.015])
+    mujoco.mj_step(model, data, 40)
+    fallen = data.qpos[places["finger"]]
+    assert 0.1 < fallen < 0.99
+    assert data.qpos[places["finger_slide"]] == pytest.approx(0.015 * fallen, abs=2e-4)
+
+
 @pytest.mark.parametrize(
     ("joints", "equality", "finger", "followed"),
     [
@@ -119,7 +143,7 @@ def test_a_servo_on_a_joint_that_mimics_another_is_told(tmp_path, caplog):
     ("joints", "finger", "said"),
     [
         ("", HINGE, r"leave out the model's joint 'finger': list it with its servo, or as `finger: {passive: true}`"),
-        ("  finger: {bus_id: 3}\n", SLIDE, r"is no hinge in the model, .* write `held: 0.0` where it stays"),
+        ("  finger: {bus_id: 3}\n", SLIDE, r"is no hinge in the model: .*`held: 0.0` where it stays"),
         ("  finger: {passive: true, held: 0.1}\n", HINGE, "must say one of passive: true, coupled and held"),
         ("  finger: {coupled: {joint: elbo}}\n", HINGE, "names the joint with a servo 'elbo', which there is not"),
         ("  fingr: {passive: true}\n", HINGE, "names the joint 'fingr', which there is not"),

@@ -49,10 +49,10 @@ def head(seconds: float) -> Any:
     return made("std_msgs/msg/Header", stamp=stamp(seconds), frame_id="")
 
 
-def state(seconds: float, angles: Iterable[float]) -> Any:
-    """Positions of all joints."""
+def state(seconds: float, angles: Iterable[float], joints: Iterable[str] = JOINTS) -> Any:
+    """Positions of joints."""
     none = np.zeros(0)
-    return made(STATE, header=head(seconds), name=list(JOINTS), position=np.array(angles), velocity=none, effort=none)
+    return made(STATE, header=head(seconds), name=list(joints), position=np.array(angles), velocity=none, effort=none)
 
 
 def array(numbers: Iterable[float]) -> Any:
@@ -142,6 +142,51 @@ def test_a_trajectory_begins_where_the_joint_is_and_ends_where_the_next_begins(t
     assert np.abs(log.array("command/position") - told[rows]).max() < 0.02
 
 
+@pytest.mark.parametrize("points", [1, 3])
+def test_trajectories_that_replace_each_other_at_their_points_are_one_path(tmp_path, points):
+    """As of a node that sends the next points in time, so that one ends at the instant at which the next begins."""
+    sent = [
+        ("/arm/joint_trajectory", TRAJECTORY, BEGIN + at, trajectory(after, target(at + after)))
+        for at, after in ((0.2 * number, 0.2 * np.arange(1, points + 1)) for number in range(36))
+    ]
+    log = read(tmp_path, states(), sent)
+    time = log.array("time")[:, 0]
+    told = np.stack([np.interp(time, 0.2 * np.arange(40), goal) for goal in target(0.2 * np.arange(40)).T], axis=1)
+    assert log.rows > 350
+    assert np.abs(log.array("command/position") - told)[(time > 0.2) & (time < 7.1)].max() < 0.01
+
+
+def test_arrays_of_two_controllers_are_of_different_joints(tmp_path):
+    """Whatever their names; of the same joints they are refused."""
+    gripper = [("/gripper/commands", ARRAY, BEGIN + t, array(target(t)[0][[1]])) for t in TIME]
+    log = read(tmp_path, states(), commands([0, 2]), gripper)
+    assert set(log.joints) == set(JOINTS)
+    columns = [JOINTS.index(joint) for joint in log.joints]
+    assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])[:, columns]).max() < 0.03
+    (tmp_path / "other").mkdir()
+    filtered = [("/filtered/commands", ARRAY, BEGIN + t, array(0.9 * target(t)[0])) for t in TIME]
+    with pytest.raises(LogError, match="tell it, and differ; keep one of the topics"):
+        read(tmp_path / "other", states(), commands([0, 1, 2]), filtered)
+
+
+@pytest.mark.parametrize(("angle", "said"), [(0.0, "left out"), (0.4, "stop one of them")])
+def test_two_publishers_of_commands_are_found(tmp_path, angle, said):
+    """Zeros are left out, another pose is refused; levels that are told in turn are one publisher's."""
+    second = [("/arm/commands", ARRAY, BEGIN + t + 0.007, array([angle] * 3)) for t in TIME[5::5]]
+    try:
+        (found,) = read(tmp_path, states(), commands([0, 1, 2]), second).findings
+        problem = f"{found.problem}; {found.remedy}"
+    except LogError as error:
+        problem = str(error)
+    assert "two publishers write it" in problem
+    assert said in problem
+    (tmp_path / "levels").mkdir()
+    levels = np.outer(np.sign(np.sin(6 * TIME) + 1e-9), [0.3, 0.2, 0.25])
+    angles = np.stack([levels[max(row - 5, 0) : row + 1].mean(0) for row in range(len(TIME))])
+    sent = [("/arm/commands", ARRAY, BEGIN + t, array(goal)) for t, goal in zip(TIME, levels, strict=True)]
+    assert np.array_equal(read(tmp_path / "levels", states(angles=angles), sent).array("command/position"), levels)
+
+
 def test_zeros_of_a_second_publisher_are_left_out(tmp_path):
     """And said; one that sends other numbers is refused."""
 
@@ -161,4 +206,16 @@ def test_states_of_a_leader_are_commands(tmp_path, leader, follower):
     """Of the arm that follows it."""
     log = read(tmp_path, states(f"{leader}/joint_states", angles=target(TIME)), states(f"{follower}/joint_states"))
     assert np.array_equal(log.array("joint/position"), POSITION)
+    assert np.abs(log.array("command/position") - target(TIME)).max() < 0.03
+
+
+def test_a_leader_s_joints_are_those_of_its_follower(tmp_path):
+    """Whose names begin with which arm they are of."""
+    arms = [
+        (f"/{arm}_arm/joint_states", STATE, BEGIN + t, state(BEGIN + t, angle, [f"{arm}_{joint}" for joint in JOINTS]))
+        for arm, angles in (("leader", target(TIME)), ("follower", POSITION))
+        for t, angle in zip(TIME, angles, strict=True)
+    ]
+    log = read(tmp_path, arms)
+    assert log.joints == tuple(f"follower_{joint}" for joint in JOINTS)
     assert np.abs(log.array("command/position") - target(TIME)).max() < 0.03

@@ -116,10 +116,10 @@ def test_a_column_without_an_angle_is_no_joint(tmp_path):
     assert imported(write(tmp_path, names, several)).joints == ("hip", "knee")
 
 
-@pytest.mark.parametrize(("middle", "size"), [(2048, COUNT), (512, np.deg2rad(300) / 1024)])
+@pytest.mark.parametrize(("middle", "size"), [(2048, COUNT), (512, np.deg2rad(300) / 1024), (32768, COUNT / 16)])
 @pytest.mark.parametrize("ending", ["", "_ticks"])
 def test_counts_are_known_by_where_they_stand_and_doubted(tmp_path, middle, size, ending):
-    """Around 2048 of 4096 a turn, or around 512 of 1024 in 300 degrees."""
+    """Around 2048 of 4096 a turn, 512 of 1024 in 300 degrees, or 32768 of 65536 a turn."""
     names = ["time", *(f"{joint}_{kind}{ending}" for kind in ("goal", "pos") for joint in ("hip", "knee"))]
     counts = np.round(middle + np.hstack([TARGET, POSITION]) / size)
     path = write(tmp_path, names, np.column_stack([TIME, counts]).tolist())

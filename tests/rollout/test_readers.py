@@ -87,7 +87,7 @@ def test_a_bag_carries_its_imu(tmp_path):
 def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
     """Degrees are known by an encoder's steps, and by the word of the user; else they may be normalised ones."""
     path = lerobot(tmp_path)
-    assert "normalised ones look alike" in read_log(path).findings[0].problem
+    assert "normalised ones would look so too" in read_log(path).findings[0].problem
     side_path(path).write_text(as_yaml(*propose(path)))
     assert "# doubtful: numbers of up to 28.65 have no unit" in side_path(path).read_text()
     assert read_log(path).findings == ()
@@ -269,7 +269,7 @@ def test_velocities_of_a_dataset_in_degrees(tmp_path):
         ("info.json", lambda info: info.update(fps=17), "the metadata says rate: 17 Hz"),
         ("info.json", renamed(action=["a.pos"]), "1 names stand there, and a row of action has 2 numbers"),
         ("*.parquet", lambda table: table.pop("episode_index"), "column episode_index: the column is missing"),
-        ("calibration.json", lambda known: known.pop(JOINTS[0]), "the calibration lacks the joint"),
+        ("calibration.json", lambda known: known.pop(JOINTS[0]), "the calibration does not have this joint"),
     ],
 )
 def test_what_contradicts_in_a_dataset_is_refused(tmp_path, file, change, said):

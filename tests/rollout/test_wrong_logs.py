@@ -1323,7 +1323,7 @@ def test_what_is_alike_in_several_joints_is_told_once():
     assert len(found) == 4
     told = told_together(found)
     assert sorted(one.column for one in told) == ["joint_0.velocity", "joint_2.velocity"]
-    assert next(one for one in told if one.column == "joint_0.velocity").problem.endswith("(alike in joint_1, joint_3)")
+    assert next(one for one in told if one.column == "joint_0.velocity").problem.endswith("(also in joint_1, joint_3)")
 
 
 def test_joints_that_sway_together_are_not_exchanged():
@@ -1632,7 +1632,7 @@ def test_currents_in_another_unit_are_told_once(tmp_path):
         edit(".*current", lambda values: np.round(values * 1e3 / 2.69) * 2.69)(table)
 
     (finding,) = told_together(read_log(write(tmp_path, milliamperes, joints=3)).findings)
-    assert "as if it were in mA (alike in joint_1, joint_2)" in finding.problem
+    assert "as if it were in mA (also in joint_1, joint_2)" in finding.problem
 
 
 def test_columns_that_moved_on_by_one_joint_are_told_so():

@@ -7,7 +7,7 @@ from op3.sim import find_model, load_model, model_names
 
 @pytest.mark.parametrize("name", model_names())
 def test_named_models_load(name):
-    """Every model of ``conf/servo`` is a valid model file."""
+    """Every model of ``assets/models`` is a valid model file."""
     assert load_model(name).effects
     assert load_model(find_model(name)) == load_model(name)
 

@@ -1,4 +1,4 @@
-"""Checks of a log: what cannot be right, what is suspicious, and what mends it."""
+"""Checks of a log: what cannot be right, what is suspicious, and how to correct it."""
 
 from __future__ import annotations
 

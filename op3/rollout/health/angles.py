@@ -20,7 +20,7 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import GIVES, SURE, delayed, match, match_rates
+from op3.rollout.health.match import GIVES, SURE, delayed, fitted, match, match_rates
 from op3.rollout.metadata import HOLDING
 from op3.rollout.units import UNITS, likely_unit
 
@@ -284,7 +284,7 @@ def constant_offset(view: View) -> Iterator[LogFinding]:
         else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
             speed = np.gradient(view.position[:, joint], view.time)[driven]
             causes = np.stack([np.ones(len(angle)), np.sin(angle), speed], axis=1)
-            fit = np.linalg.lstsq(causes, off)[0] if np.ptp(causes[:, 1]) > 0.5 else np.array([offset, 0.0, 0.0])
+            fit = fitted(causes, off) if np.ptp(causes[:, 1]) > 0.5 else np.array([offset, 0.0, 0.0])
             least = 0.2 if np.ptp(causes[:, 1]) > 0.5 else GIVES
             odd, offset = abs(fit[0]) > max(least, 3 * float((off - causes @ fit).std())), float(fit[0])
         yields = False

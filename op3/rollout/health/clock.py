@@ -18,7 +18,7 @@ from op3.rollout.health.finding import (
     View,
     check,
 )
-from op3.rollout.health.match import delayed, longest_run
+from op3.rollout.health.match import delayed, fitted, longest_run
 from op3.rollout.validate import GAP, holes
 
 RATE_TOLERANCE = 0.06
@@ -230,7 +230,7 @@ def _as_friction(angle: np.ndarray, told: np.ndarray, period: float) -> float:
             held[row] = at = min(max(at, goal - width), goal + width)
         speed = np.gradient(held, period)
         causes = np.stack([held, np.ones(len(held)), speed, np.sin(held), np.cos(held)], axis=1)
-        left = angle - causes @ np.linalg.lstsq(causes, angle)[0]
+        left = angle - causes @ fitted(causes, angle)
         best = min(best, float(left.var() / max(angle.var(), 1e-12)))
     return best
 

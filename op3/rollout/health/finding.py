@@ -34,7 +34,7 @@ class LogFinding:
     Attributes:
         severity: `error` or `warning`.
         problem: Evidence with its numbers, and the likely cause.
-        remedy: What mends it, an option of the import where there is one.
+        remedy: How to correct it, an option of the import where there is one.
         column: Column of the wide CSV, `time`, or a metadata field (`field mass`); None for the whole log.
         rows: First and last row concerned, counted from 1; None for all.
         times: Times of these rows [s].
@@ -63,7 +63,7 @@ class LogFinding:
         times = "" if self.times is None else " to ".join(f"{t:.6g}" for t in dict.fromkeys(self.times))
         where = {"joint": joint, "channel": channel, "rows": rows, "times [s]": times}
         severity = "set aside" if self.set_aside else self.severity
-        return {"severity": severity, **where, "finding": self.problem, "what mends it": self.remedy}
+        return {"severity": severity, **where, "finding": self.problem, "remedy": self.remedy}
 
 
 class View:
@@ -183,7 +183,7 @@ def told_together(findings: Sequence[LogFinding]) -> list[LogFinding]:
     told = []
     for first, *others in alike.values():
         joints = ", ".join(dict.fromkeys((one.column or "").rpartition(".")[0] for one in others))
-        told.append(replace(first, problem=f"{first.problem} (alike in {joints})") if others else first)
+        told.append(replace(first, problem=f"{first.problem} (also in {joints})") if others else first)
     return told
 
 

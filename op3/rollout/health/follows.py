@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, LogFinding, View, check
-from op3.rollout.health.match import SURE, delayed, longest_run, match
+from op3.rollout.health.match import SURE, delayed, fitted, longest_run, match
 from op3.rollout.metadata import HOLDING
 
 _UNRELATED = 0.5
@@ -109,9 +109,11 @@ def _unexplained(angle: np.ndarray, target: np.ndarray, period: float) -> tuple[
     rows = np.arange(len(angle))
     causes = [target[np.maximum(rows - lag, 0)] for lag in lags]
     causes = np.stack([*causes, np.ones(len(angle)), target**2], axis=1)
+    if not np.isfinite(causes).all():  # what overflows is refused by its bound
+        return None
     kept, off = np.ones(len(angle), bool), np.abs(angle)
     for _ in range(6):
-        off = np.abs(angle - causes @ np.linalg.lstsq(causes[kept], angle[kept])[0])
+        off = np.abs(angle - causes @ fitted(causes[kept], angle[kept]))
         kept = off <= max(4 * float(np.median(off)), 0.003)
     usual = float(np.quantile(off[kept], 0.98))
     return (off, usual) if kept.mean() > 0.5 and usual < 0.15 * np.ptp(target) else None
@@ -164,5 +166,5 @@ def _left(values: np.ndarray, causes: list[np.ndarray], ends: int) -> float:
     """Share of values that a linear fit of causes leaves, without so many rows at both ends."""
     inside = slice(ends, -ends)
     goal, table = values[inside], np.stack(causes, axis=1)[inside]
-    rest = goal - table @ np.linalg.lstsq(table, goal)[0]
+    rest = goal - table @ fitted(table, goal)
     return float(rest.var() / max(goal.var(), 1e-12))

@@ -47,6 +47,12 @@ def match(a: np.ndarray, b: np.ndarray) -> Match:
     return Match(correlation, ratio, size_a, size_b)
 
 
+def fitted(causes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Weights with which causes [row, cause] fit values [row] best [cause]; NaN where numbers overflow."""
+    sound = bool(np.isfinite(causes).all() and np.isfinite(values).all())
+    return np.linalg.lstsq(causes, values)[0] if sound else np.full(causes.shape[1], np.nan)
+
+
 def no_sensor(ratio: float | None) -> bool:
     """Whether a factor between two rates is a unit or a sign, and not a filter or a rough sensor."""
     return ratio is not None and (ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None)

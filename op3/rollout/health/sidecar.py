@@ -9,7 +9,7 @@ import numpy as np
 from op3.robot.servo_make import load_servo, servo_files
 from op3.rollout.errors import LogError, rename
 from op3.rollout.health.finding import ERROR, WARNING, LogFinding, View, check
-from op3.rollout.health.match import integral, windows
+from op3.rollout.health.match import fitted, integral, windows
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
@@ -118,7 +118,7 @@ def weight(view: View) -> Iterator[LogFinding]:
     mean = (summed[last] - summed[first]) / span
     # what it weighs goes with the angle, damping with the speed, friction with its direction, and inertia
     causes = np.column_stack([mean[:, 1:], speed[last] - speed[first]])
-    pushed = float(np.linalg.lstsq(causes, mean[:, 0])[0][0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
+    pushed = float(fitted(causes, mean[:, 0])[0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
     if np.ptp(mean[:, 1]) > 0.3 and not _LOAD[0] < pushed < _LOAD[1]:
         problem = f"the servo pushes with {pushed:.2g} times what {about.mass:g} kg at {about.length:g} m weigh, by a "
         problem += f"gain of {np.median(view.log.array(('command', 'firmware_gain'))):g} at {supply:g} V"

@@ -13,6 +13,7 @@ from op3.rollout.health.match import (
     WINDOW,
     Match,
     delayed,
+    fitted,
     integral,
     longest_run,
     match,
@@ -112,7 +113,7 @@ def _trace(view: View, joint: int, summed: np.ndarray) -> Trace | None:
     for _ in range(4):
         spread = max(float(left[kept].std()), count / 4, 1e-6) * np.sqrt(overlap)
         weighed = np.vstack([causes[kept] / spread, [0, 0, 1 / _FILTER, 0]])
-        found = np.linalg.lstsq(weighed, np.append(told[kept] / spread, 0.0))[0]
+        found = fitted(weighed, np.append(told[kept] / spread, 0.0))
         left = told - causes @ found
         size = np.abs(left)
         kept = size <= max(5 * float(np.median(size)), count, 0.1 * float(told.std()), PARTED / 4)
@@ -140,7 +141,7 @@ def _halves(causes: np.ndarray, told: np.ndarray) -> tuple[float, float]:
     turned = causes[:, 0]
     apart = np.column_stack([np.minimum(turned, 0), np.maximum(turned, 0), causes[:, 1:]])
     often = min((turned < -0.2 * np.abs(turned).max()).sum(), (turned > 0.2 * np.abs(turned).max()).sum()) > 20
-    fit = np.linalg.lstsq(apart, told)[0]
+    fit = fitted(apart, told)
     return (float(fit[0]), float(fit[1])) if often else (np.nan, np.nan)
 
 
@@ -167,7 +168,7 @@ def velocity(view: View) -> Iterator[LogFinding]:
     factors = [ratio for _, ratio in wrong.values() if ratio and ratio > 0]
     alike = len(factors) == len(wrong) == len(moving) > 1 and max(factors) < 1.1 * min(factors)
     clock = (
-        f"; alike in all joints, as if the clock ran at {factors[0]:.3g} times its speed, or all positions were scaled"
+        f"; in all joints, as if the clock ran at {factors[0]:.3g} times its speed, or all positions were scaled"
         if alike
         else ""
     )

@@ -168,7 +168,7 @@ def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
         except (ValueError, KeyError, TypeError, IndexError):
             known = [str(name) for name in (names if isinstance(names, list) else content)]
             if joint not in known:
-                problem = f"the calibration lacks the joint, and has {', '.join(known)[:120]}"
+                problem = f"the calibration does not have this joint; it has {', '.join(known)[:120]}"
                 remedy = "copy the calibration file of this robot; entries of two arms go into one file, by these names"
             else:
                 problem, remedy = "the calibration of the joint has no range", "copy LeRobot's calibration file"
@@ -249,7 +249,9 @@ def _body_unit(
         return "deg", "nothing else is known", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
     if "rad" in units:
         return "rad", "hardly a number is as large as a turn in radians", None
-    problem = f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones look alike"
+    problem = (
+        f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones would look so too"
+    )
     remedy = "say `unit: deg` under `columns:` in a YAML, or their size"
     if not ranges:
         remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"

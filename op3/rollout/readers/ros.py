@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,14 @@ from scipy.spatial.transform import Rotation
 from op3.rollout.errors import LogError
 from op3.rollout.health.finding import WARNING, LogFinding
 from op3.rollout.readers.reader import Recording, Stream, needed
+from op3.rollout.validate import INSTANT
 
 _COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
 _LEADERS = ("leader", "master", "teleop")
 """Words in topics of states that others are told to follow."""
+
+_FOLLOWERS = ("follower", "puppet", "slave")
+"""First words in names of joints that follow, where those of the others' begin with one of `_LEADERS`."""
 
 _KINDS = {"position": "position", "velocity": "velocity", "effort": "load"}
 _TRAJECTORY_STEP = 0.01
@@ -35,6 +39,9 @@ _SHARED = 1.0
 
 _PUBLISHED = 5
 """A second publisher shows so often at least."""
+
+_BETWEEN = 0.15
+"""Messages of a second publisher of commands stand singly between others that are no further apart [s]."""
 
 _LEAPS = 0.02
 """What a joint moves from message to message is at most so much, or ten times as much as usual [rad]."""
@@ -61,6 +68,11 @@ class Topic:
     def ends(self, kind: str) -> bool:
         """Whether its columns are of a kind, such as `position`."""
         return self.columns[0].endswith(f".{kind}")
+
+    @property
+    def is_array(self) -> bool:
+        """Whether its numbers have no names."""
+        return self.columns[0] == "#0"
 
 
 class Ros:
@@ -110,7 +122,9 @@ def is_bag(folder: Path) -> bool:
 
 def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> None:
     """Leave out messages of zeros that a second publisher puts between a topic's others; refuse where both differ."""
-    for topic in (one for one in topics if one.ends("position") and len(one.rows) >= 20):
+    for topic in (one for one in topics if len(one.rows) >= 20):
+        if not (states := topic.ends("position")) and not (topic.ends("target") or topic.is_array):
+            continue
         table = np.array(topic.rows)
         values, zero = table[:, 2:], np.asarray(~table[:, 2:].any(1))
         steps = [np.abs(values[n:] - values[:-n]).max(1)[: len(values) - 2] for n in (1, 2)]
@@ -125,18 +139,33 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
         own, foreign = values[~other], values[other]
         if _visits(np.asarray(other)) < _PUBLISHED or (np.abs(np.diff(own, axis=0)).max(1) > 2 * near).any():
             continue
+        if not states and not _stands_singly(np.asarray(other), table[:, 1]):
+            continue  # levels that are told in turn
         if np.abs(own - np.median(foreign, axis=0)).max() < near:
             continue  # it is there itself
         problem = f"{other.sum()} of {len(values)} messages of {topic.name} stand between others, far from them: two "
         problem += "publishers write it"
+        column = None if topic.is_array else topic.columns[0]
         if foreign.any():
-            raise LogError(problem, "stop one of them, and record again", source=path, column=topic.columns[0])
+            raise LogError(problem, "stop one of them, and record again", source=path, column=column)
         remedy = "these are zeros and left out; stop the publisher that sends them"
-        doubts.append(LogFinding(WARNING, problem, remedy, topic.columns[0], check="two publishers"))
+        doubts.append(LogFinding(WARNING, problem, remedy, column, check="two publishers"))
         gone = set(table[other, 1].tolist())
         for part in topics:
             if part.name == topic.name:
-                part.rows = [row for row in part.rows if row[1] not in gone]
+                kept = [row[1] not in gone for row in part.rows]
+                part.rows = list(itertools.compress(part.rows, kept))
+                part.paths = list(itertools.compress(part.paths, kept))
+
+
+def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
+    """Whether rows of a kind stand one by one, or two by two, shortly between others, nearly always."""
+    edges = np.flatnonzero(np.diff(rows.astype(int)))
+    begin, end = edges[rows[edges + 1]], edges[~rows[edges + 1]]
+    end = end[end > begin[0]] if len(begin) else end
+    begin = begin[: len(end)]
+    singly = (end - begin <= 2) & (time[end + 1] - time[begin] < _BETWEEN)
+    return bool(len(end)) and float(singly.mean()) > 0.8
 
 
 def _visits(rows: np.ndarray) -> int:
@@ -147,7 +176,7 @@ def _visits(rows: np.ndarray) -> int:
 def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     """A topic for each group of columns: relays are left out, states of a leader are commands, two that differ and
     states without commands are refused."""
-    told = any(topic.ends("target") or topic.columns[0] == "#0" for topic in topics)
+    told = any(topic.ends("target") or topic.is_array for topic in topics)
     states = [topic for topic in topics if topic.kind == "JointState" and topic.ends("position")]
     leads = [topic for topic in states if any(word in topic.name.lower() for word in _LEADERS)]
     if leads and len(leads) < len(states):
@@ -157,18 +186,20 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
             topic.columns = tuple(column.replace(".position", ".target") for column in topic.columns)
     chosen: dict[tuple[str, ...], Topic] = {}
     for topic in sorted(topics, key=lambda one: -len(one.rows)):
+        key = topic.columns
         for other in chosen.values():
             same = topic.kind == other.kind and topic.name != other.name
             if same and (shared := [name for name in topic.columns if name in other.columns]):
                 said, known_as = _content(topic, shared), _content(other, shared)
-                if 2 * len(said & known_as) <= len(topic.rows):
-                    problem = f"{topic.name} and {other.name} tell it, and differ"
-                    remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
-                    raise LogError(problem, remedy, source=path, column=shared[0])
-        chosen.setdefault(topic.columns, topic)
-    names = sorted({name for columns in chosen for name in columns})
+                if 2 * len(said & known_as) > len(topic.rows):
+                    continue
+                if not topic.is_array:
+                    raise _differ(topic, other, path, shared[0])
+                key = (topic.name,)  # of other joints, or refused when it is known of which
+        chosen.setdefault(key, topic)
+    names = sorted({name for topic in chosen.values() for name in topic.columns})
     here, there = ([n.rpartition(".")[0] for n in names if n.endswith(end)] for end in (".position", ".target"))
-    if here and not there and not any(columns[0] == "#0" for columns in chosen):
+    if here and not there and not any(topic.is_array for topic in chosen.values()):
         problem = "no topic commands these joints"
         remedy = f"record the topic of the commands, whose name holds one of {', '.join(_COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
@@ -180,8 +211,14 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
 
 
 def _behind(name: str, other: str) -> bool:
-    """Whether a name is the other behind a namespace."""
-    return name.endswith(f"_{other}")
+    """Whether a name is the other behind a namespace, or the one who leads it."""
+    (first, _, rest), (lead, _, same) = name.partition("_"), other.partition("_")
+    return name.endswith(f"_{other}") or (first in _FOLLOWERS and lead in _LEADERS and rest == same)
+
+
+def _differ(topic: Topic, other: Topic, path: Path, column: str) -> LogError:
+    remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
+    return LogError(f"{topic.name} and {other.name} tell it, and differ", remedy, source=path, column=column)
 
 
 def _content(topic: Topic, names: list[str]) -> set[tuple[float, ...]]:
@@ -258,15 +295,17 @@ def _imu(message: Any) -> dict[str, float]:
 def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[Stream]:
     """Streams on one clock, with trajectories as they are followed and arrays in the order of the joints."""
     streams: list[Stream] = []
-    clocks = _clocks(topics)
-    for topic, time in sorted(zip(topics, clocks, strict=True), key=lambda item: not item[0].ends("position")):
+    clocks, taken = _clocks(topics), dict[str, Topic]()
+    order = sorted(zip(topics, clocks, strict=True), key=lambda item: (item[0].is_array, -len(item[0].columns)))
+    for topic, time in sorted(order, key=lambda item: not item[0].ends("position")):
         values = np.array(topic.rows)[:, 2:]
         if topic.paths:
             time, values = _followed(topic, time, streams)
         columns = topic.columns
-        if columns[0] == "#0":
-            columns = _order(topic, time, values, streams, path, doubts)
-        keep = np.append(time[1:] != time[:-1], True)
+        if topic.is_array:
+            columns = _order(topic, time, values, streams, taken, path, doubts)
+            taken |= dict.fromkeys(columns, topic)
+        keep = np.append(np.diff(time) > INSTANT, True)
         streams.append(Stream(time[keep], dict(zip(columns, values[keep].T, strict=True))))
     start = min((stream.time[0] for stream in streams), default=0.0)
     return [Stream(stream.time - start, stream.columns) for stream in streams]
@@ -320,20 +359,31 @@ def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np
 
 
 def _order(
-    topic: Topic, time: np.ndarray, values: np.ndarray, streams: list[Stream], path: Path, doubts: list[LogFinding]
+    topic: Topic,
+    time: np.ndarray,
+    values: np.ndarray,
+    streams: list[Stream],
+    taken: Mapping[str, Topic],
+    path: Path,
+    doubts: list[LogFinding],
 ) -> tuple[str, ...]:
-    """Whose targets the numbers of an array are: of the joints whose positions come nearest to them.
+    """Whose targets the numbers of an array are: of the joints whose positions come nearest to them, and that no other
+    array has taken.
 
     Raises:
         LogError: where that is unclear.
     """
-    states = next((s for s in streams if any(n.endswith(".position") for n in s.columns)), None)
-    names = [n for n in states.columns if n.endswith(".position")] if states else []
-    if states is None or len(names) < values.shape[1]:
+    states = {n: (s.time, values) for s in streams for n, values in s.columns.items() if n.endswith(".position")}
+    names = [name for name in states if name.replace(".position", ".target") not in taken]
+    if len(names) < values.shape[1]:
+        if taken and len(states) >= values.shape[1]:
+            raise _differ(topic, next(iter(taken.values())), path, next(iter(taken)))
         problem = f"{topic.name} sends arrays of {values.shape[1]} numbers, and the states have {len(names)} joints"
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
-    row = np.searchsorted(time, states.time, side="right") - 1
-    angle, told = (np.stack([states.columns[n] for n in names], axis=1)[row >= 0], values[row[row >= 0]])
+    clock = states[names[0]][0]
+    row = np.searchsorted(time, clock, side="right") - 1
+    angle = np.stack([np.interp(clock, *states[name]) for name in names], axis=1)
+    angle, told = angle[row >= 0], values[row[row >= 0]]
     if len(angle) < 20:
         return tuple(name.replace(".position", ".target") for name in names[: values.shape[1]])
     apart = np.median(np.abs(told[:, :, None] - angle[:, None, :]), axis=0)
@@ -341,7 +391,7 @@ def _order(
     number = np.arange(values.shape[1])
     asked = np.ptp(told, axis=0)
     least, usual = apart[number, whose], apart[number, number]
-    in_order = values.shape[1] == len(names) and usual.sum() < 1.5 * least.sum() + 0.01 * len(number)
+    in_order = values.shape[1] == len(states) and usual.sum() < 1.5 * least.sum() + 0.01 * len(number)
     chosen = number if in_order else whose
     others = np.where(chosen[:, None] == np.arange(len(names)), np.inf, apart).min(1) if len(names) > 1 else asked + 1
     off = apart[number, chosen]
@@ -352,9 +402,10 @@ def _order(
         )
         problem += "the states clearly"
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
-    if not in_order:
+    if not in_order and (chosen != number).any():
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
-        problem = f"the numbers of {topic.name} are in another order than the states: {order}, by which they follow"
+        problem = f"{topic.name} sends numbers without names, which are taken for those of {order}, by which they "
+        problem += "follow, and not in the order of the states"
         remedy = "correct the names under `columns:` if that is wrong"
         doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)

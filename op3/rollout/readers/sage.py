@@ -35,7 +35,7 @@ class Sage:
     def read(self, path: Path) -> list[Recording]:
         """One recording; torques stay in the recorders' unit."""
         if path.is_file():
-            raise LogError("it is one part of a SAGE pair", f"name its folder, {path.parent.name}", source=path)
+            raise LogError("the file is one part of a SAGE pair", f"name its folder, {path.parent.name}", source=path)
         control, state, listed = (next(iter(sorted(path.glob(f"{name}*"))), path / name) for name in _EVERY)
         joints = [line.strip() for line in read_text(listed).splitlines() if line.strip()]
         about = dict(joints=joints, robot="real", mount="stand", motion=path.name)
