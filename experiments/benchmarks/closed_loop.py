@@ -24,7 +24,7 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
-from op3.diagnose.findings import Proposal, Search, Stage
+from op3.diagnose.findings import NamingStage, Proposal, Search
 from op3.motions import Excitation, Motion, leg_suite
 from op3.motions.op3_suites import LEG_JOINTS
 from op3.replay.windows import WindowResiduals
@@ -110,7 +110,7 @@ def case_of(fault: str, robot: str, seed: int) -> Case:
     return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
 
 
-def told(search: Search, stage: Stage, hidden: Hidden) -> Stage:
+def told(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage:
     """The stage with an effect that is known to be there, its size and the base fitted as a finding's are."""
     names = search.reduction.engine.joints
     place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None

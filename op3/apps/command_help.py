@@ -14,6 +14,7 @@ COMMANDS: Mapping[str, str] = {
     "import": "import_log",
     "identify": "identify",
     "predict": "predict",
+    "export": "export",
     "diagnose": "diagnose",
     "design": "design_excitation",
     "train": "train",

@@ -209,7 +209,7 @@ def imported(name: str, where: str) -> Any:
         raise ValueError(f"{where}: {name!r} cannot be imported ({error}); correct the path") from None
     if not callable(found := getattr(home, attribute, None)):
         known = [key for key in (*vars(home), *getattr(home, "__all__", ())) if callable(getattr(home, key))]
-        raise ValueError(f"{where}: {module} has no function or class {attribute!r}{nearest(attribute, known)}")
+        raise ValueError(f"{where}: {module} has no {attribute!r}{nearest(attribute, known)}")
     return found
 
 

@@ -12,8 +12,8 @@ from op3.rollout.schema import CHANNELS, normal_key, place
 from op3.rollout.units import UNITS, canonical
 
 _SPELLINGS: dict[str, str] = {
-    "command/position": "target goal command commands commanded cmd desired des ref reference setpoint action ctrl"
-    " control",
+    "command/position": "target goal command commands commanded cmd desired des ref reference setpoint action actions"
+    " ctrl control",
     "joint/velocity": "velocity velocities vel speed speeds qvel dq qd dps rpm",
     "joint/current": "current currents cur amps ma",
     "joint/duty": "pwm duty",

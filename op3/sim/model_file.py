@@ -13,6 +13,7 @@ from op3.common.settings import read_yaml
 from op3.common.writing import write_text
 from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
+from op3.sim.foreign_models import from_bam
 
 FORMAT = "op3-model/1"
 
@@ -26,7 +27,7 @@ def save_model(model: RobotModel, path: str | Path) -> Path:
 
 
 def load_model(name_or_path: str | Path) -> RobotModel:
-    """Read a model from its file, or by a name from `model_names`.
+    """Read a model from its file, BAM's JSON among them, or by a name from `model_names`.
 
     Raises:
         ValueError: if the file is not a model; the message names file, field and remedy.
@@ -35,6 +36,8 @@ def load_model(name_or_path: str | Path) -> RobotModel:
     path = find_model(name_or_path)
     content = read_yaml(path)
     try:
+        if isinstance(content, Mapping) and "actuator" in content and "format" not in content:
+            return from_bam(content)
         return from_dict(content)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

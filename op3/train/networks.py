@@ -1,5 +1,6 @@
 """Networks: normalisation of observations, a squashed Gaussian policy, Q functions and their ensemble."""
 
+import functools
 import math
 import time
 from collections.abc import Sequence
@@ -174,6 +175,7 @@ class Ensemble(nn.Module):
         return torch.stack([member(observation, action).squeeze(-1) for member in self.members])
 
 
+@functools.cache
 def bfloat16_is_faster(device: torch.device) -> bool:
     """Whether a device multiplies bfloat16 so much faster than float32 that conversions are worth it.
 

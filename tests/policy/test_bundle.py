@@ -131,7 +131,7 @@ def test_missing_and_torn_files_are_refused(bundle, tmp_path):
 def test_no_bundle_is_overwritten_unasked(bundle, tmp_path):
     """Saving over a bundle is refused unless asked for."""
     folder = bundle.save(tmp_path / "policy")
-    with pytest.raises(ValueError, match="already"):
+    with pytest.raises(FileExistsError, match="already"):
         bundle.save(folder)
     other = dataclasses.replace(MANIFEST, task="walk")
     PolicyBundle(other, random_weights(other)).save(folder, overwrite=True)

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from op3.rollout import LogError, read_log
+from op3.rollout import LogError, read_log, read_logs
 from op3.rollout.readers.hdf5 import Hdf5
 
 
@@ -39,3 +39,24 @@ def test_an_episode_of_two_arms(tmp_path):
     assert log.metadata.rate == pytest.approx(50)
     assert np.abs(log.array("joint/position")[:, 6] - angle[:, 7]).max() < 1e-9
     assert [one.check for one in log.findings] == ["times"]
+
+
+@pytest.mark.parametrize("groups", [("data/demo_0/obs", "data/demo_1/obs"), ("follower", "leader")])
+def test_arrays_of_one_name_are_of_episodes_or_of_a_leader(tmp_path, groups):
+    """Numbered groups are recordings of their own; what a leader measures is the target. Names stand in the file."""
+    h5py = pytest.importorskip("h5py")
+    time = np.arange(300)[:, None] / 100
+    goal, angle = (0.4 * np.sin(3 * (time - late) + np.arange(3)) for late in (0.0, 0.05))
+    leads = groups[1] == "leader"
+    with h5py.File(tmp_path / "run.hdf5", "w") as file:
+        file.attrs["fps"], file.attrs["joint_names"] = 100, ["hip", "knee", "ankle"]
+        for number, group in enumerate(groups):
+            file[f"{group}/joint_position"] = goal if leads and number else angle * (1 - 0.05 * number)
+            if not leads:
+                file[group.removesuffix("/obs") + "/actions"] = goal
+    logs = read_logs(tmp_path / "run.hdf5")
+    assert len(logs) == (1 if leads else 2)
+    for number, log in enumerate(logs):
+        assert log.joints == ("hip", "knee", "ankle")
+        assert np.abs(log.array("command/position") - goal).max() < 1e-9
+        assert np.abs(log.array("joint/position") - angle * (1 - 0.05 * number)).max() < 1e-9

@@ -156,7 +156,8 @@ def test_a_shape_of_words_is_refused(tmp_path):
 def test_saving_never_overwrites_unasked(tmp_path):
     """Saving refuses a folder in use, replaces a rollout on demand, and never touches another folder."""
     rollout().save(tmp_path / "run")
-    assert "overwrite=True" in load_error(rollout(rows=5).save, tmp_path / "run")
+    with pytest.raises(FileExistsError, match="overwrite=True"):
+        rollout(rows=5).save(tmp_path / "run")
     rollout(rows=5).save(tmp_path / "run", overwrite=True)
     assert Rollout.load(tmp_path / "run").rows == 5
     (tmp_path / "thesis").mkdir()

@@ -266,7 +266,7 @@ def test_a_scene_of_ones_own(package, tmp_path):
         log = record_episodes(env, Hold(action_map=env.action_map))[0]
         assert not log.metadata.fallen
         assert log.metadata.mount == scene
-    with pytest.raises(ValueError, match=r"my_package\.terms\.nothing"):
+    with pytest.raises(ValueError, match=r"my_package\.terms has no 'nothing'"):
         make_env(find_task("walk", scene="my_package.terms.nothing"))
     with pytest.raises(ValueError, match="unknown scene 'flor'; the nearest is 'floor'"):
         make_env(find_task("walk", scene="flor"))

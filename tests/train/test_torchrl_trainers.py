@@ -12,10 +12,11 @@ TRAIN = Path(__file__).resolve().parents[2] / "examples" / "torchrl_trainers" / 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("task", ["walk", "reach"])
 @pytest.mark.parametrize("name", ["sac", "ppo"])
-def test_torchrl_trainers_run_on_walking(name, tmp_path):
-    """For 10,000 steps of `walk`, with optimisation steps, and rewards and entropies that are finite."""
-    options = ["--config-name", name, "total_frames=10000", f"hydra.run.dir={tmp_path}"]
+def test_torchrl_trainers_run(name, task, tmp_path):
+    """For 10,000 steps, with optimisation steps, and rewards and entropies that are finite."""
+    options = ["--config-name", name, "total_frames=10000", f"environment.task={task}", f"hydra.run.dir={tmp_path}"]
     done = subprocess.run([sys.executable, str(TRAIN), *options], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

@@ -1,12 +1,17 @@
 """HDF5 with arrays [time, joint] by name: episodes as ALOHA records them, and others of that kind.
 
-ALOHA's files hold `observations/qpos`, `qvel`, `effort` and `action` of one or two arms of six joints and a gripper, at
-50 rows per second, without times. Its grippers run from 0 to 1 over an opening that is not in the file, so that they
-are left out.
+Groups that are numbered, such as `demo_0`, are recordings of their own. Of arrays of one name in other groups, those of
+a leader are targets, and the rest keep the group in their name. Joints are named by what the file says, else as ALOHA's
+where there are as many, and by `columns:` of the YAML. ALOHA's files hold `observations/qpos`, `qvel`, `effort` and
+`action` of one or two arms of six joints and a gripper, at 50 rows per second, without times. Its grippers run from 0
+to 1 over an opening that is not in the file, so that they are left out.
 """
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +29,7 @@ _RATE = 50.0
 _ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")
 _TIMES = ("time", "times", "timestamp", "timestamps", "t")
 _NAMES = ("joints", "joint_names", "names")
+_LEADERS = ("leader", "master")
 
 
 class Hdf5:
@@ -37,36 +43,62 @@ class Hdf5:
         return path.is_file() and path.suffix in (".hdf5", ".h5")
 
     def read(self, path: Path) -> list[Recording]:
-        """One recording."""
-        content, about = _content(path)
-        long = [len(array) for array in content.values() if array.ndim == 2]
-        rows = max(set(long), key=long.count, default=0)
-        if rows < 2:
-            raise LogError("there are no arrays of several times", "save arrays [time, joint]", source=path)
-        doubts: list[LogFinding] = []
-        time = next((content.pop(n).reshape(-1) for n in _TIMES if n in content), None)
-        if time is None:
-            rate = next((float(about[n]) for n in ("fps", "rate", "hz") if _positive(about.get(n))), 0.0)
-            if not rate:
-                rate = _RATE
-                problem = f"no times are in the file, and {_RATE:g} rows per second are assumed, as ALOHA records them"
-                remedy = "save `time` [s], or an attribute `fps`"
-                doubts.append(LogFinding(WARNING, problem, remedy, "time", check="times"))
-            time = np.arange(rows) / rate
-        width = next((array.shape[1] for name, array in content.items() if name == "qpos"), 0)
-        joints = [str(one) for name in _NAMES for one in np.atleast_1d(about.get(name, []))]
-        if not joints and width in (len(_ARM), 2 * len(_ARM)):
-            sides = ("left_", "right_") if width > len(_ARM) else ("",)
-            joints = [f"{side}{joint}" for side in sides for joint in _ARM]
-        content = {name: array for name, array in content.items() if len(array) == rows and array.ndim <= 2}
-        columns = columns_of(content, rows, joints, path)
-        meanings = guess_all(columns, joints)
-        for name, values in columns.items():
-            gripper = str(meanings[name].name).rpartition(".")[0].endswith("gripper")
-            if gripper and values.min() > -0.5 and values.max() < 1.5:
-                meanings[name] = Column(None, why="0 to 1 over an opening that is not in the file")
-        metadata = {"robot": "simulated" if about.get("sim") else "real", "mount": "stand"}
-        return [Recording([Stream(time.astype(float), columns)], metadata, meanings, doubts=doubts)]
+        """One recording, or one per numbered group."""
+        arrays, about = _content(path)
+        episodes = _episodes(arrays)
+        return [_recording(content, about, name and f"{path.stem}/{name}", path) for name, content in episodes.items()]
+
+
+def _recording(content: dict[str, np.ndarray], about: dict[str, Any], name: str, path: Path) -> Recording:
+    long = [len(array) for array in content.values() if array.ndim == 2]
+    rows = max(set(long), key=long.count, default=0)
+    if rows < 2:
+        raise LogError("there are no arrays of several times", "save arrays [time, joint]", source=path)
+    doubts: list[LogFinding] = []
+    time = next((content.pop(n).reshape(-1) for n in _TIMES if n in content), None)
+    if time is None:
+        rate = next((float(about[n]) for n in ("fps", "rate", "hz") if _positive(about.get(n))), 0.0)
+        if not rate:
+            rate = _RATE
+            problem = f"no times are in the file, and {_RATE:g} rows per second are assumed, as ALOHA records them"
+            remedy = "save `time` [s], or an attribute `fps`"
+            doubts.append(LogFinding(WARNING, problem, remedy, "time", check="times"))
+        time = np.arange(rows) / rate
+    width = next((array.shape[1] for name, array in content.items() if name == "qpos"), 0)
+    joints = [str(one) for name in _NAMES for one in np.atleast_1d(about.get(name, []))]
+    if not joints and width in (len(_ARM), 2 * len(_ARM)):
+        sides = ("left_", "right_") if width > len(_ARM) else ("",)
+        joints = [f"{side}{joint}" for side in sides for joint in _ARM]
+    content = {name: array for name, array in content.items() if len(array) == rows and array.ndim <= 2}
+    columns = columns_of(content, rows, joints, path)
+    meanings = guess_all(columns, joints)
+    for name, values in columns.items():
+        gripper = str(meanings[name].name).rpartition(".")[0].endswith("gripper")
+        if gripper and values.min() > -0.5 and values.max() < 1.5:
+            meanings[name] = Column(None, why="0 to 1 over an opening that is not in the file")
+    metadata = {"robot": "simulated" if about.get("sim") else "real", "mount": "stand"}
+    return Recording([Stream(time.astype(float), columns)], metadata, meanings, name, doubts=doubts)
+
+
+def _episodes(arrays: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
+    """Arrays by their own name, for each numbered group; "" where there is none."""
+    episodes: dict[str, dict[str, np.ndarray]] = {}
+    twice = Counter(name.rpartition("/")[2] for name in arrays)
+    for name, array in arrays.items():
+        *groups, short = name.split("/")
+        numbered = [at for at, group in enumerate(groups, 1) if re.search(r"\d$", group)] if twice[short] > 1 else []
+        episode = "/".join(groups[: numbered[-1]]) if numbered else ""
+        inner = groups[numbered[-1] :] if numbered else groups
+        episodes.setdefault(episode, {})[_within(inner, short, episodes.get(episode, {}))] = array
+    shared = episodes.pop("", {}) if len(episodes) > 1 else {}
+    return {episode: {**shared, **content} for episode, content in episodes.items()}
+
+
+def _within(groups: list[str], short: str, taken: Collection[str]) -> str:
+    """The name of an array in groups: of a leader a target; with its group where another has the name already."""
+    if any(word in group.lower() for group in groups for word in _LEADERS):
+        return f"target_{short}"
+    return "_".join([*groups, short]) if short in taken else short
 
 
 def _positive(value: Any) -> bool:
@@ -74,7 +106,7 @@ def _positive(value: Any) -> bool:
 
 
 def _content(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays of numbers by the last part of their name, and the attributes and texts; pictures are passed over."""
+    """Arrays of numbers by their path, and the attributes and texts; pictures are passed over."""
     h5py = needed("h5py", "hdf5", path)
     arrays: dict[str, np.ndarray] = {}
     about: dict[str, Any] = {}
@@ -87,7 +119,7 @@ def _content(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         if item.ndim == 1 and item.dtype.kind in "SUO":
             about[short] = [one.decode() if isinstance(one, bytes) else str(one) for one in item[()]]
         elif item.ndim in (1, 2) and item.dtype.kind in "fiub":
-            arrays.setdefault(short, np.asarray(item[()], dtype=float))
+            arrays[name] = np.asarray(item[()], dtype=float)
 
     try:
         with h5py.File(path, "r") as file:
