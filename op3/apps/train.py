@@ -43,22 +43,11 @@ from op3.train import train as run_training
 from op3.train.checkpoint import load_checkpoint
 from op3.train.training import CHECKPOINT, check_unused
 
-KEPT = (
-    "task",
-    "algorithm",
-    "train",
-    "environments",
-    "env",
-    "environment",
-    "initial_gain",
-    "fixed_gain",
-    "warm_start",
-)
+KEPT = ("task", "algorithm", "train", "environments", "env", "environment", "initial_gain", "fixed_gain", "warm_start")
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
 """Policy steps between two frames of the film."""
-
 
 INTERRUPTED = "The same command with resume=<folder of the run> goes on from its last checkpoint."
 
