@@ -208,7 +208,7 @@ def imported(name: str, where: str) -> Any:
     except (ImportError, ValueError) as error:
         raise ValueError(f"{where}: {name!r} cannot be imported ({error}); correct the path") from None
     if not callable(found := getattr(home, attribute, None)):
-        known = [key for key in (*vars(home), *getattr(home, "__all__", ())) if callable(getattr(home, key))]
+        known = [key for key in getattr(home, "__all__", vars(home)) if callable(getattr(home, key))]
         raise ValueError(f"{where}: {module} has no {attribute!r}{nearest(attribute, known)}")
     return found
 

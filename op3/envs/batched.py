@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from op3.common.settings import CONTROL_PERIOD
 from op3.envs.specs import answer, set_specs
 from op3.policy import ActionMap
-from op3.policy.leg_kinematics import PROCESSOR
+from op3.policy.forward_kinematics import PROCESSOR
 from op3.robot import load_robot
 from op3.scenes import build_scene, tile_ids
 from op3.servo import RobotModel

@@ -7,7 +7,7 @@ from op3.common.lazy import lazy
 if TYPE_CHECKING:
     from op3.policy.actions import ActionMap
     from op3.policy.bundle import PolicyBundle
-    from op3.policy.leg_kinematics import leg_kinematics
+    from op3.policy.forward_kinematics import leg_kinematics
     from op3.policy.manifest import Manifest, Training
     from op3.policy.observation import Observer, layout_slices
     from op3.policy.observations import Sensed

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from op3.policy.forward_kinematics import leg_kinematics, tip_kinematics
 from op3.policy.heading import wrapped
-from op3.policy.leg_kinematics import leg_kinematics, tip_kinematics
 from op3.robot import Robot
 
 __all__ = [

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from op3.sim.pendulum_simulation import PendulumSimulation
     from op3.sim.ports import ServoPorts, attach_servos
     from op3.sim.servo_models import model_for, servo_model
-    from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
+    from op3.sim.trajectories import TrajectoryDynamics, trajectory_dynamics
     from op3.sim.trunk_sensors import roll_pitch_yaw
     from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
 

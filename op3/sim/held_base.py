@@ -15,7 +15,7 @@ from op3.scenes import build_scene
 from op3.servo import RobotModel
 from op3.sim.edits import LINK, ROTOR, edited_fields, model_field
 from op3.sim.ports import ServoPorts, attach_servos
-from op3.sim.trajectory_dynamics import TrajectoryDynamics, trajectory_dynamics
+from op3.sim.trajectories import TrajectoryDynamics, trajectory_dynamics
 
 
 class FixedBase:

@@ -28,7 +28,7 @@ from torch import Tensor
 from op3.servo import RobotModel, Servos
 from op3.servo.effects import EncoderNonlinearity, EncoderOffset
 from op3.sim.inputs import REFERENCE_TEMPERATURE, expand_parameters
-from op3.sim.trajectory_dynamics import TrajectoryDynamics
+from op3.sim.trajectories import TrajectoryDynamics
 from op3.sim.window_steps import INPUTS, MOTION, SLOTS, STATE, coupled, simulate
 
 ZERO = EncoderOffset.parameters[0].name

@@ -110,7 +110,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         (["environments=0"], "environments must be at least 1, got 0"),
         (["evaluation.episodes=0"], "evaluation.episodes must be a whole number"),
         (["+environment.foo=1"], "the batched environment has no option 'foo'; it has"),
-        (["algorithm._target_=op3.train.Sarsa"], "algorithm._target_=op3.train.Sarsa"),
+        (["algorithm._target_=op3.train.Sarsa"], "algorithm._target_: op3.train has no 'Sarsa'"),
         (["+algorithm.gama=0.9"], "gama is no field"),
         (["env=gym"], "unknown backend 'gym'"),
         (["env=composer", "environments=2"], "use environments=1"),

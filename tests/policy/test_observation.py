@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from op3.policy import Observer, Sensed, layout_slices, observations
-from op3.policy.leg_kinematics import leg_kinematics
+from op3.policy.forward_kinematics import leg_kinematics
 from op3.robot import asset_path, key_points, load_robot
 from tests.op3_table import KEY_POINTS
 

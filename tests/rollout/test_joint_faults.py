@@ -8,7 +8,7 @@ from rollout_logs import SERVO_BENCH
 
 from op3.robot import load_robot
 from op3.rollout import Metadata, Rollout, read_episodes
-from op3.rollout.health import ERROR, examine
+from op3.rollout.health import ERROR, WARNING, examine
 from op3.rollout.read import expand
 
 COUNT = 2 * np.pi / 4096
@@ -175,10 +175,13 @@ def test_percent_of_a_gripper_among_radians_are_named():
 
 
 def test_a_joint_that_turns_on_is_read():
-    """A lone one that goes beyond a turn without a jump, for a part of the time."""
+    """A lone one that goes beyond a turn without a jump, for a part of the time; in an encoder's steps beyond doubt."""
     target, position = (1.1 * (np.minimum(t, 6.8) - np.maximum(t - 6.9, 0))[:, None] for t in (TIME, TIME - 0.04))
-    found = examine(log(target, position, ("tilt",)))
-    assert not [one for one in found if one.severity == ERROR]
+    recorded = log(target, position, ("tilt",))
+    assert not [one for one in examine(recorded) if one.check == "bounds"]
+    finer = log(target, position, ("tilt",), joint__position=position)
+    found = [one for one in examine(finer) if one.check == "bounds"]
+    assert {one.severity for one in found} == {WARNING}
     assert any("goes there without a jump" in one.problem for one in found)
 
 

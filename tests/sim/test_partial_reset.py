@@ -73,5 +73,5 @@ def test_rows_start_as_in_a_new_simulation(model):
 def test_measured_rows_are_refused():
     """Readings can place all simulations or none."""
     made, qpos = simulation(2)
-    with pytest.raises(ValueError, match="omit rows"):
+    with pytest.raises(ValueError, match="give readings or rows, not both"):
         made.reset(qpos[None], measured=True, rows=np.array([0]))

@@ -214,7 +214,7 @@ def test_key_points_of_four_legs_are_mujocos():
     import mujoco
     import numpy as np
 
-    from op3.policy.leg_kinematics import leg_kinematics, tip_kinematics
+    from op3.policy.forward_kinematics import leg_kinematics, tip_kinematics
     from op3.robot import load_robot
 
     for name, chains in (("quadruped", leg_kinematics), ("arm", tip_kinematics)):
