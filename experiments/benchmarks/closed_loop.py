@@ -6,7 +6,7 @@ python experiments/benchmarks/closed_loop.py --robot arm3 --seed 320 --out outpu
 
 Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. Windows of the
 runs that the diagnosis only shows are compared under the given model, the baseline fit, the returned model, and the
-model to which the hidden effect was told, fitted in the same way. Each case has a process of its own.
+model that is given the hidden effect, fitted in the same way. Each case has a process of its own.
 """
 
 import argparse
@@ -110,7 +110,7 @@ def case_of(fault: str, robot: str, seed: int) -> Case:
     return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
 
 
-def told(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage:
+def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage:
     """The stage with an effect that is known to be there, its size and the base fitted as a finding's are."""
     names = search.reduction.engine.joints
     place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
@@ -134,7 +134,7 @@ def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list
 
 
 def diagnosed(case: Case) -> dict[str, Any]:
-    """What a diagnosis makes of a case; memory is that of its process at most, before the effect is told."""
+    """What a diagnosis makes of a case; memory is that of its process at most, before the effect is given."""
     torch.set_num_threads(1)
     logs = list(record_case(case))
     given, split = load_model(case.base), split_logs(logs, seed=0)
@@ -145,7 +145,7 @@ def diagnosed(case: Case) -> dict[str, Any]:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     models, search = [given, verdict.base, verdict.model], diagnosis.search
     if case.hidden and search is not None:
-        models.append(told(search, diagnosis.stages[0], case.hidden[0]).base.model)
+        models.append(with_hidden_effect(search, diagnosis.stages[0], case.hidden[0]).base.model)
     errors = window_errors(models, split.show)
     findings = [
         {
@@ -175,7 +175,7 @@ def line(row: dict[str, Any]) -> str:
     )
     angle = " -> ".join(f"{value:.2f}" for value in row["mrad"][:3])
     current = " -> ".join(f"{value:.1f}" for value in row["mA"][:3])
-    known = f" ({row['mrad'][3]:.2f} told)" if len(row["mrad"]) > 3 else ""
+    known = f" ({row['mrad'][3]:.2f} with the hidden effect given)" if len(row["mrad"]) > 3 else ""
     cost = f"{row['wall']} s, {row['cpu']} s of processor time, {row['MB']} MB"
     return f"{row['case']:24} {angle}{known} mrad, {current} mA, {cost}: {named or 'nothing'}"
 

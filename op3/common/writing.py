@@ -41,9 +41,9 @@ def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = Fal
     """Make a folder by `fill(temporary folder)` and put it in place by renaming.
 
     Args:
-        path: Where the folder shall be.
-        fill: Writes the contents into the empty folder it is given.
-        overwrite: Whether a folder already there is replaced.
+        path: of the folder to be.
+        fill: writes the contents into the empty folder it is given.
+        overwrite: whether a folder already there is replaced.
     """
     there = FileExistsError(f"{path}: there is something already; choose another folder or pass overwrite=True")
     if path.exists() and not overwrite:

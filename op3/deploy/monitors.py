@@ -10,7 +10,6 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.registers import HardwareError, Units
 from op3.deploy.robot_state import RobotState
-from op3.policy.actions import GAIN_HIGH
 from op3.robot import Robot
 from op3.robot.self_collision import Gap, SelfCollision
 
@@ -83,8 +82,8 @@ class Monitor:
         Raises:
             Stop: if it drives parts of the robot into each other.
         """
-        stiffness, largest = command.p_gain / GAIN_HIGH, self._limits.overlap_ahead
-        self._check_parts("commanded", self._parts.commanded(state.position, command.position, stiffness, largest))
+        gap = self._parts.commanded(state.position, command.position, command.p_gain, self._limits.overlap_ahead)
+        self._check_parts("commanded", gap)
 
     def _check_shutdown(self, state: RobotState) -> None:
         errors = state.raw["hardware_error"]

@@ -13,10 +13,11 @@ from op3.deploy.limits import Command
 from op3.deploy.robot_state import RobotState
 from op3.deploy.ticker import PERIOD
 from op3.motions import Motion
-from op3.motions.motion import gain_rows, minimum_jerk, sample
+from op3.motions.motion import gain_rows, sample
 from op3.motions.motion_checks import check_motion
 from op3.policy.actions import D_GAIN, HELD_GAIN
 from op3.robot import load_robot
+from op3.robot.kinematics import minimum_jerk
 
 Array = NDArray[np.float64]
 

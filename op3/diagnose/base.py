@@ -373,20 +373,14 @@ def settle(
 ) -> Baseline:
     """Gauss-Newton from a point until the base no longer moves.
 
-    What numbers do is simulated once, then corrected by what steps did (Broyden 1965), and simulated again where a step
-    gains nothing. With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and
-    its columns of numbers that both have, which decide little where a fit ends.
+    With a linearisation that it is to be `like`, its reduction is kept, so that evidences compare, and its columns of
+    numbers that both have, which decide little where a fit ends.
     """
-    point = np.clip(point, coordinates.low, coordinates.high)
-    linear, number, gained, fresh = None, 0, 0.0, False
+    point, linear = np.clip(point, coordinates.low, coordinates.high), None
+    number, done = 0, steps == 0
     while True:
-        done = number == steps or (fresh and gained < SETTLED)
-        if done:
-            linear = reduction.linearise(coordinates, point, like, linear or like)
-        elif linear is None or gained < SETTLED:
-            linear, fresh = reduction.linearise(coordinates, point, like or linear, like), True
-        else:
-            linear, fresh = reduction.corrected(linear, point), False
+        kept = linear if done else None
+        linear = reduction.linearise(coordinates, point, like if done else like or linear, kept or like)
         judge = Judge(reduction.rows(linear, ()), base_numbers(coordinates, point), settings)
         fit = judge.fit(state=state, rounds=4 if number == 0 else 3)
         state = fit.state
@@ -395,8 +389,9 @@ def settle(
         tried = np.concatenate([point[None], point + damped(fit, judge.numbers)])
         tried = np.clip(tried, coordinates.low, coordinates.high)
         costs = cost_of(reduction, judge, fit, linear, coordinates, tried)
-        gained, point = float(costs[0] - costs.min()), tried[int(costs.argmin())]
+        gained, point = costs[0] - costs.min(), tried[int(costs.argmin())]
         number += 1
+        done = number == steps or gained < SETTLED
 
 
 def damped(fit: Posterior, numbers: Numbers) -> np.ndarray:

@@ -195,22 +195,6 @@ class Reduction:
                 base[i][~self._felt(entries[i].joints)] = 0.0
         return Linear(coordinates, point, reducers, variance, lacking, base)
 
-    def corrected(self, linear: Linear, point: np.ndarray) -> Linear:
-        """Windows around another point, whose columns do what was seen on the way there and else what they did before.
-
-        The smallest change of the columns is taken, in units of the numbers' priors (Broyden 1965), joint by joint of
-        the numbers that it feels.
-        """
-        coordinates, step = linear.coordinates, point - linear.point
-        lacking = -self.reduce(linear.reducers, self.at(coordinates, point[None]))[0]
-        missed = linear.lacking - lacking - np.tensordot(step, linear.base, 1)
-        share = (step / np.square(coordinates.deviation))[:, None] * linear.base.any((2, 3))  # [number, joint]
-        share /= np.maximum(step @ share, 1e-12)
-        change = share[..., None, None] * self.tamed(missed[:, None])[:, 0]
-        return Linear(
-            coordinates, point, linear.reducers, linear.variance, lacking, linear.base + change.astype(np.float32)
-        )
-
     def reducers(
         self, coordinates: Coordinates, point: np.ndarray, here: Sequence[np.ndarray] | None = None
     ) -> tuple[tuple[Reducer, ...], tuple[np.ndarray, ...]]:

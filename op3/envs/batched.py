@@ -183,9 +183,7 @@ class BatchedEnv(EnvBase):
         """Give robots other parameters from now on, as the constructor's `parameters`."""
         self._fixed = dict(values)
         joints = self.scene.joint_names
-        drawn = {
-            name: self.model.for_joints(name, value.cpu(), joints) for name, value in self.parameters_drawn.items()
-        }
+        drawn = {n: self.model.for_joints(n, value.cpu(), joints) for n, value in self.parameters_drawn.items()}
         self.simulation.set_parameters({**self._fixed, **drawn})
 
     def _begin(self, seeds: Mapping[int, int]) -> TensorDict:
@@ -215,8 +213,7 @@ class BatchedEnv(EnvBase):
             self.simulation.advance()
         throughout = self._whole_step.result()
         with self._there():
-            measured = map(self._moved, (self.snapshot(), throughout, self.simulation.failed))
-            outcome = self.mdp.finish(action, *measured)
+            outcome = self.mdp.finish(action, *map(self._moved, (self.snapshot(), throughout, self.simulation.failed)))
             return answer(self.mdp, outcome.observation, outcome, throughout)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -115,10 +115,10 @@ def collision_ahead(log: Rollout) -> bool:
     Servos that close a position loop themselves count as stiff.
     """
     parts, position, target = _self_collision(log.robot), log.array("joint/position"), log.array("command/position")
-    stiffness = log.array("command/p_gain") / GAIN_HIGH if "command/p_gain" in log else np.ones_like(target)
+    p_gain = log.array("command/p_gain") if "command/p_gain" in log else np.full_like(target, GAIN_HIGH)
     measured = zip(position, log.array("joint/velocity"), strict=True)
     return any(parts.measured(*row) for row in measured) or any(
-        parts.commanded(*row) for row in zip(position, target, stiffness, strict=True)
+        parts.commanded(*row) for row in zip(position, target, p_gain, strict=True)
     )
 
 

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.motions.motion import Motion, minimum_jerk, sample_times
+from op3.motions.motion import Motion, sample_times
 from op3.motions.motion_checks import motion_faults
+from op3.robot.kinematics import minimum_jerk
 from op3.robot.robot import DEFAULT, Robot, load_robot
 
 RATE = 125.0

@@ -82,12 +82,6 @@ def hold(
     return Motion(time, np.tile(position, (len(time), 1)), name=name, robot=robot)
 
 
-def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
-    """Share of a move that is done at a share of its time, 0 to 1 each: no speed and no acceleration at its ends."""
-    s = np.clip(share, 0.0, 1.0)
-    return s**3 * (10 - 15 * s + 6 * s**2)
-
-
 def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Array | None = None) -> Array:
     """Targets of joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows.
 

@@ -58,7 +58,7 @@ def report_identification(
     page = Page.of(
         "identification", figures | _figures(fits), _tables(fits), fits=fits, drawn=drawn, bench=bench, known=known,
         names=", ".join(sorted({log.metadata.motion or log.metadata.recording or "log" for log in logs})),
-        abstained=abstained(fit), wall_seconds=wall_seconds, share=SHARE, told=verdicts(known) if known else {},
+        abstained=abstained(fit), wall_seconds=wall_seconds, share=SHARE, verdicts=verdicts(known) if known else {},
     )  # fmt: skip
     best = {"loss.best": np.fmin.accumulate(trials).tolist() if len(trials) else []}
     return publish(page, values, run, curve=best)
@@ -87,8 +87,8 @@ def abstained(fit: Fit) -> str:
     """Which parameters the logs do not determine, and how to plan recordings that do, in sentences."""
     if fit.identifiability is None:
         return ""
-    told = verdicts(fit.identifiability)
-    bound, unidentifiable = told["at its bound"], told["not identifiable"]
+    sorted_names = verdicts(fit.identifiability)
+    bound, unidentifiable = sorted_names["at its bound"], sorted_names["not identifiable"]
     said = f" At the bound of its range: {', '.join(map(words, bound))}." if bound else ""
     if unidentifiable:
         said += f" Not identifiable from these logs: {', '.join(map(words, unidentifiable))}."

@@ -104,3 +104,9 @@ def rotation_matrix(roll: float, pitch: float, yaw: float = 0.0) -> Array:
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion(roll, pitch, yaw))
     return matrix.reshape(3, 3)
+
+
+def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
+    """Share of a move that is done at a share of its time, 0 to 1 each: no speed and no acceleration at its ends."""
+    s = np.clip(share, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from op3.common.settings import GAIN_HIGH
 from op3.robot.model_source import read_model
 from op3.robot.robot import Robot, exclude_neighbours
 
@@ -94,7 +95,7 @@ class SelfCollision:
         return self._deeper(position, overlap) or self._deeper(coming, ahead)
 
     def commanded(
-        self, position: ArrayLike, target: ArrayLike, stiffness: ArrayLike, ahead: float = LARGEST_OVERLAP_AHEAD
+        self, position: ArrayLike, target: ArrayLike, p_gain: ArrayLike, ahead: float = LARGEST_OVERLAP_AHEAD
     ) -> Gap | None:
         """Parts that are deeper in each other than `ahead` [m] where the joints are driven to; else None.
 
@@ -104,10 +105,10 @@ class SelfCollision:
         Args:
             position: measured, [joint] in rad.
             target: [joint] in rad.
-            stiffness: P gains as shares of the highest one, [joint].
+            p_gain: [joint] in A/rad.
         """
         position = np.asarray(position)
-        return self._deeper(position + np.asarray(stiffness) * (np.asarray(target) - position), ahead)
+        return self._deeper(position + np.asarray(p_gain) / GAIN_HIGH * (np.asarray(target) - position), ahead)
 
     def _deeper(self, joint_position: ArrayLike, largest: float) -> Gap | None:
         gap = self.nearest(joint_position)

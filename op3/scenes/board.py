@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from op3.robot.kinematics import minimum_jerk
 from op3.robot.register_units import GRAVITY
 
 Array = NDArray[np.float64]
@@ -64,7 +65,7 @@ class BoardMotion(Protocol):
 def _smooth_step(x: Array) -> tuple[Array, Array]:
     """Minimum-jerk step from 0 to 1 over x in [0, 1], with its derivative."""
     x = np.clip(x, 0.0, 1.0)
-    return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2
+    return minimum_jerk(x), 30 * x**2 * (1 - x) ** 2
 
 
 @dataclass(frozen=True, eq=False)

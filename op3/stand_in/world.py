@@ -216,8 +216,8 @@ class HiddenWorld:
     @classmethod
     def of(cls, values: Mapping[str, Any], origin: str) -> HiddenWorld:
         """A world from what its file says; `origin` is named in errors."""
-        values, drawn = dict(values), values.get("draw")
-        values.pop("draw", None)
+        values = dict(values)
+        drawn = values.pop("draw", None)
         try:
             if "hidden" in values:
                 values["hidden"] = [Hidden(**effect) for effect in values["hidden"]]

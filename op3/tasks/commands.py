@@ -37,6 +37,7 @@ class Velocity:
         zero_share: probability of standing.
         turn_share: probability of turning on the spot.
         straight_share: probability of moving without turning.
+        single_share: probability of one of the three numbers alone: forward, sideways or turning on the spot.
         scale: factor on all ranges, which a curriculum may raise from 0 to 1.
         corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: what
             is drawn beyond the ellipsoid of the ranges is brought back to it. A curriculum may raise it.
@@ -55,6 +56,7 @@ class Velocity:
         zero_share: float = 0.0,
         turn_share: float = 0.0,
         straight_share: float = 0.0,
+        single_share: float = 0.0,
         scale: float = 1.0,
         corners: float = 1.0,
     ):
@@ -63,31 +65,28 @@ class Velocity:
                 raise ValueError(f"{name} must be a least and a greatest value, got {list(bounds)}")
         if not interval > 0:
             raise ValueError(f"interval must be above 0 s, got {interval}")
-        if not 0 <= zero_share + turn_share + straight_share <= 1:
-            raise ValueError("zero_share, turn_share and straight_share must be at least 0 and at most 1 together")
+        self._interval, self._shares = interval, np.cumsum((zero_share, turn_share, straight_share, single_share))
+        if not 0 <= self._shares[-1] <= 1:
+            raise ValueError(f"the shares must be at least 0 and at most 1 together, got {self._shares[-1]:g}")
         self.scale, self.corners = scale, corners
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
-        self._interval, self._shares = interval, (zero_share, turn_share, straight_share)
         self._count = ceil(duration / interval) + 1
         self._shift = torch.zeros(num_envs, dtype=torch.float64)
         self._schedule = torch.zeros(num_envs, self._count, 3, dtype=torch.float64)
 
     def begin(self, episodes: Episodes) -> None:
         """Draw the commands of whole episodes."""
-        zero, turn, straight = np.cumsum(self._shares)
         for row, generator in zip(episodes.rows, episodes.generators(6), strict=True):
             drawn = generator.uniform(self._low, self._high, (self._count, 3))
             end = np.where(drawn < 0, self._low, self._high)
-            size = np.linalg.norm(
-                np.divide(drawn, end, out=np.zeros_like(drawn), where=end != 0), axis=1, keepdims=True
-            )
-            drawn *= self.scale / np.maximum(size, 1.0) ** (1.0 - self.corners)
-            lot = generator.random(self._count)
-            drawn[(zero <= lot) & (lot < turn), :2] = 0.0
-            drawn[(turn <= lot) & (lot < straight), 2] = 0.0
-            drawn[lot < zero] = 0.0
-            self._schedule[row] = torch.from_numpy(drawn)
+            part = np.divide(drawn, end, out=np.zeros_like(drawn), where=end != 0)
+            drawn *= self.scale / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1.0) ** (1.0 - self.corners)
+            kind = np.searchsorted(self._shares, generator.random(self._count), side="right")
             self._shift[row] = generator.uniform(0.0, self._interval)
+            others = np.arange(3) != generator.integers(3, size=(self._count, 1))
+            drawn[kind == 1, :2] = drawn[kind == 2, 2] = drawn[kind == 0] = 0.0
+            drawn[(kind == 3)[:, None] & others] = 0.0
+            self._schedule[row] = torch.from_numpy(drawn)
 
     def at(self, time: Tensor) -> Tensor:
         """The commands in force at a time of each episode [s], ``[env, 3]``."""

@@ -182,11 +182,11 @@ class Mdp:
         for term in self.terms["commands"].values():
             if hook := term.hook("begun"):
                 hook(self._begun, snapshot.readings["orientation"][:, 2])
-        feet = len(self.robot.file.feet) if self.task.gait else 0
-        still = Throughout.still(self.num_envs, feet)
-        state = State(snapshot, still, self._previous, self._previous, self.time, self.phase, self._asked())
-        at_first = self._privileged(state, {n: t for n, t in self.terms["privileged"].items() if not t.keeps_memory})
-        self.privileged = torch.where(self._begun[:, None], at_first, self.privileged)
+        if terms := self.terms["privileged"]:
+            still = Throughout.still(self.num_envs, len(self.robot.file.feet) if self.task.gait else 0)
+            state = State(snapshot, still, self._previous, self._previous, self.time, self.phase, self._asked())
+            at_first = self._privileged(state, {name: term for name, term in terms.items() if not term.keeps_memory})
+            self.privileged = torch.where(self._begun[:, None], at_first, self.privileged)
         return self.observer.reset(self._sense(snapshot), self._begun, self._noise)
 
     def resting_commands(self, count: int) -> dict[str, Tensor]:

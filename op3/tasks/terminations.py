@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from op3.common.settings import GAIN_HIGH
 from op3.policy.actions import ActionMap
 from op3.robot import Robot
 from op3.robot.kinematics import home_height
@@ -76,6 +75,7 @@ class CommandedCollision:
     def __call__(self, state: State) -> Tensor:
         """Whether each robot's action does, ``[env]``."""
         commands = self._action_map.commands(state.action)
-        target, stiffness = commands["position_target"].numpy(), (commands["p_gain"] / GAIN_HIGH).numpy()
-        rows = zip(state.joint_position.numpy(), target, stiffness, strict=True)
+        inputs = (state.joint_position, commands["position_target"], commands["p_gain"])
+        position, target, p_gain = (values.cpu().numpy() for values in inputs)  # MuJoCo is on the processor
+        rows = zip(position, target, p_gain, strict=True)
         return torch.tensor([self._parts.commanded(*row, self.overlap) is not None for row in rows])

@@ -20,8 +20,7 @@ from op3.policy.mirror import Mirror
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork
 
 NORMALISED = "normalised"
-"""Key of the normalised observation, privileged numbers behind it, of which policies read the observation alone;
-environments and stored transitions have ``observation`` and, where a task has it, ``privileged``."""
+"""Key of the normalised ``observation`` and, behind it, the ``privileged`` that a task may have for critics alone."""
 
 Measures = dict[str, Tensor]
 """Scalars by name, for logs."""
@@ -90,8 +89,7 @@ class Algorithm(nn.Module, ABC):
         self.environments = environment.batch_size[0]
         self.observation_size = environment.observation_spec["observation"].shape[-1]
         self.action_size = environment.action_spec.shape[-1]
-        privileged = "privileged" in environment.observation_spec
-        self.seen = ("observation", "privileged") if privileged else ("observation",)
+        self.seen = [name for name in ("observation", "privileged") if name in environment.observation_spec]
         self.seen_size = sum(environment.observation_spec[name].shape[-1] for name in self.seen)
         self.mirror, self.device = mirror, torch.device(device)
         self.normalisation = getattr(self.settings, "normalisation", "running")

@@ -234,10 +234,7 @@ class Mirrored(Transform):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch with its first part mirrored, in place."""
         part = slice(round(self.share * len(tensordict)))
-        images = {
-            "observation": self.mirror.observation,
-            "action": self.mirror.action,
-        }
+        images = {"observation": self.mirror.observation, "action": self.mirror.action}
         if "privileged" in tensordict:
             images["privileged"] = self.mirror.privileged
         places: Any = (tensordict, tensordict["next"])

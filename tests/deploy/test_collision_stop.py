@@ -39,8 +39,8 @@ def test_a_collision_that_is_coming_is_seen_before_it_is_there():
 def test_a_soft_joint_may_be_sent_further():
     """Legs that are apart: a target 0.2 rad inside is refused at the highest gain and not at a sixth of it."""
     parts, apart, inside = SelfCollision(OP3, margin=0.0), crossed(0.03), crossed(0.2)
-    assert parts.commanded(apart, inside, np.ones(len(JOINTS))) is not None
-    assert parts.commanded(apart, inside, np.full(len(JOINTS), 1 / 6)) is None
+    assert parts.commanded(apart, inside, np.full(len(JOINTS), 6.0)) is not None
+    assert parts.commanded(apart, inside, np.full(len(JOINTS), 1.0)) is None
     assert parts.commanded(apart, inside, np.zeros(len(JOINTS))) is None
 
 

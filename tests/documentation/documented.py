@@ -27,7 +27,6 @@ STANDS_FOR: Mapping[str, str] = {
     "world": "robot_4",
     "partition": "cpu",
     "host": "op3.local",
-    "robot": "quadruped",
 }
 """What a reader puts in place of ``<name>``, beside the checkout's own files."""
 

@@ -88,6 +88,7 @@ def act(words: list[str], folder: str, said: str) -> None:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
     os.environ.update(OMP_NUM_THREADS="1", WANDB_MODE="disabled", PYTHONPATH=str(ROOT))
+    sys.path.insert(0, folder)
     if words[0] == "op3":
         main(words[1:])
     else:
@@ -106,7 +107,9 @@ def test_the_commands_of_a_page_end_as_it_says(page, given, tmp_path):
     shutil.copytree(given, tmp_path / "work" / "given")
     (tmp_path / "shared").symlink_to(ROOT.parent / "shared")
     for name, text in files(page).items():
-        (tmp_path / "work" / name).write_text(text)
+        file = tmp_path / "work" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
     wrong = []
     for command in commands(page):
         argued = any("=" in word for word in command.words)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from op3.motions import Motion, hold, squat
-from op3.motions.motion import minimum_jerk
 from op3.motions.op3_motions import SQUAT_LEAN
 from op3.robot import pose, sole_corners
-from op3.robot.kinematics import rotation_matrix, sole_normals
+from op3.robot.kinematics import minimum_jerk, rotation_matrix, sole_normals
 from tests.op3_table import JOINTS, SOFT_LIMITS, center_of_mass, indices, mirror
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])

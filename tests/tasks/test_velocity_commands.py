@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from op3.tasks.commands import Velocity
 from op3.tasks.episodes import Episodes
@@ -20,3 +21,21 @@ def test_corners_say_how_far_commands_are_combined(corners, largest):
     assert size.max() == pytest.approx(largest, rel=0.1)
     assert (size > 1.0 + 1e-9).any() == (corners > 0)
     assert np.abs(drawn).max(0) == pytest.approx([0.3, 0.1, 0.5], rel=0.05)
+
+
+def test_a_share_of_the_commands_has_one_number_alone():
+    """Pure sideways and backward walking is never drawn from ranges alone."""
+    command = Velocity(1, 4000.0, **RANGES, zero_share=0.1, straight_share=0.2, single_share=0.3)
+    command.begin(Episodes(np.array([0]), np.array([3]), np.zeros((1, 1)), np.zeros((1, 1))))
+    drawn = torch.stack([command.at(torch.tensor([2.0 * i])) for i in range(1900)])[:, 0] != 0
+    alone = drawn.sum(1) == 1
+    assert alone.double().mean() == pytest.approx(0.3, abs=0.03)
+    assert drawn[alone].double().mean(0).tolist() == pytest.approx([1 / 3] * 3, abs=0.08)
+    assert (~drawn.any(1)).double().mean() == pytest.approx(0.1, abs=0.03)
+    assert (drawn[:, :2].all(1) & ~drawn[:, 2]).double().mean() == pytest.approx(0.2, abs=0.03)
+
+
+def test_shares_above_one_are_refused():
+    """They would leave no commands to draw."""
+    with pytest.raises(ValueError, match=r"at most 1 together, got 1\.2"):
+        Velocity(1, 10.0, **RANGES, zero_share=0.7, single_share=0.5)
