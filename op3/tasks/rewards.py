@@ -32,7 +32,6 @@ __all__ = [
     "command",
     "distance_to_target",
     "heading",
-    "joint_power",
     "overload",
     "self_contact",
     "smooth",
@@ -312,8 +311,3 @@ def distance_to_target(state: State, name: str = "target", scale: float = 0.1) -
 def action_rate(state: State) -> Tensor:
     """Change of the action, in [-1, 0]."""
     return _penalty(0.1 * norm(state.action - state.previous_action))
-
-
-def joint_power(state: State) -> Tensor:
-    """Square of the joint velocities' norm [rad^2/s^2], negative."""
-    return -state.joint_velocity.square().sum(-1)

@@ -39,6 +39,8 @@ class AlgorithmSettings:
         initial_std: standard deviation of the untrained policy before tanh.
         largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
         clip: bound of a normalised observation.
+        averaging: share that a running average of the policy's weights keeps of itself per update. The policy that is
+            evaluated and kept has the average, or the latest weights where this is 0.
     """
 
     hidden: Some[Count] = (256, 256)
@@ -49,6 +51,7 @@ class AlgorithmSettings:
     initial_std: Positive = 0.2
     largest_std: Annotated[Number, Field(gt=SMALLEST_STD)] = LARGEST_STD
     clip: Positive = 10.0
+    averaging: Annotated[Number, Field(ge=0, lt=1)] = 0.0
 
 
 class Algorithm(nn.Module, ABC):
@@ -98,6 +101,7 @@ class Algorithm(nn.Module, ABC):
         torch.manual_seed(seed)  # weights are drawn on the processor, so that a seed gives the same on every device
         self.normaliser = Normaliser(self.seen_size, self.settings.clip)
         self.network = self.policy_network(initial_action)
+        self.average = copy.deepcopy(self.network).requires_grad_(False) if self.settings.averaging else None
         self.build()
         self.to(self.device)
         self.optimise()
@@ -136,14 +140,15 @@ class Algorithm(nn.Module, ABC):
     @torch.no_grad()
     def act(self, observation: Tensor) -> Tensor:
         """Actions [..., action] without exploration for observations [..., observation]."""
-        return self.network(self.normaliser(observation.to(self.device, torch.float32)))[0].tanh().to(observation)
+        network = self.average or self.network
+        return network(self.normaliser(observation.to(self.device, torch.float32)))[0].tanh().to(observation)
 
     def bundle(self, manifest: Manifest) -> PolicyBundle:
         """The policy without exploration, with the normalisation as it is now; what the manifest says of it is set."""
         chosen = self.settings
         network = {"hidden": chosen.hidden, "activation": chosen.activation, "clip": chosen.clip}
         manifest = dataclasses.replace(manifest, normalisation=self.normalisation, **network)
-        return PolicyBundle(manifest, self._policy_weights())
+        return PolicyBundle(manifest, self._policy_weights(self.average or self.network))
 
     def start_from(self, policy: PolicyBundle) -> None:
         """Begin with a policy's network and normalisation; critics and exploration begin anew.
@@ -154,7 +159,7 @@ class Algorithm(nn.Module, ABC):
         Raises:
             ValueError: if the policy has another size.
         """
-        here, there = self._policy_weights(), policy.weights
+        here, there = self._policy_weights(self.network), policy.weights
         shapes = [{name: value.shape for name, value in weights.items()} for weights in (here, there)]
         known, chosen = policy.manifest, self.settings
         if shapes[0] != shapes[1] or known.activation != chosen.activation:
@@ -166,20 +171,15 @@ class Algorithm(nn.Module, ABC):
         with torch.no_grad():
             for name, value in here.items():
                 value.copy_(there[name])
+        if self.average is not None:
+            self.average.load_state_dict(self.network.state_dict())
         self.normaliser.assume(there["observation.mean"], there["observation.scale"], max(known.training.steps or 0, 1))
 
     def policy_network(self, initial_action: Tensor | None) -> PolicyNetwork:
         """The policy's network, before tanh."""
-        chosen = self.settings
-        return PolicyNetwork(
-            self.observation_size,
-            self.action_size,
-            chosen.hidden,
-            chosen.activation,
-            initial_action,
-            chosen.initial_std,
-            chosen.largest_std,
-        )
+        sizes, chosen = (self.observation_size, self.action_size), self.settings
+        stds = chosen.initial_std, chosen.largest_std
+        return PolicyNetwork(*sizes, chosen.hidden, chosen.activation, initial_action, *stds)
 
     def stochastic_actor(self) -> ProbabilisticActor:
         """The policy as TorchRL's losses take it: normalised observations to squashed Gaussian actions."""
@@ -213,6 +213,13 @@ class Algorithm(nn.Module, ABC):
             parameter.grad = gradient
         optimiser.step()
 
+    def count_update(self) -> None:
+        """An update was made: the average of the policy follows."""
+        self.updates += 1
+        if self.average is not None:
+            average, latest = [*self.average.parameters()], [*self.network.parameters()]
+            torch._foreach_lerp_(average, latest, 1.0 - self.settings.averaging)  # pyright: ignore
+
     def get_extra_state(self) -> dict[str, Any]:
         """What is neither weight nor buffer."""
         return {"updates": self.updates} | {name: one.state_dict() for name, one in self.optimisers.items()}
@@ -223,13 +230,13 @@ class Algorithm(nn.Module, ABC):
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict(state[name])
 
-    def _policy_weights(self) -> dict[str, Tensor]:
+    def _policy_weights(self, network: PolicyNetwork) -> dict[str, Tensor]:
         """The tensors of a bundle, as views of this policy's."""
         weights: dict[str, Tensor] = {
             "observation.mean": self.normaliser.mean[: self.observation_size],
             "observation.scale": self.normaliser.scale[: self.observation_size],
         }
-        layers = [layer for layer in self.network.mlp if isinstance(layer, nn.Linear)]
+        layers = [layer for layer in network.mlp if isinstance(layer, nn.Linear)]
         for number, layer in enumerate(layers):
             rows = slice(self.action_size) if layer is layers[-1] else slice(None)
             weights |= {f"layer_{number}.weight": layer.weight[rows], f"layer_{number}.bias": layer.bias[rows]}

@@ -96,9 +96,7 @@ class OffPolicy(Algorithm):
         """Make an empty buffer."""
         chosen = self.settings
         if chosen.buffer < 2 * self.environments:
-            raise ValueError(
-                f"a buffer of {chosen.buffer} transitions holds under two steps of {self.environments} environments"
-            )
+            raise ValueError(f"a buffer of {chosen.buffer} holds under two steps of {self.environments} environments")
         self.steps = self.learned = self.stored = 0
         storage = LazyTensorStorage(chosen.buffer, device=self.device)
         self.buffer = ReplayBuffer(storage=storage, batch_size=chosen.batch)
@@ -163,7 +161,7 @@ class OffPolicy(Algorithm):
         if self.stored >= min(self.settings.warmup, self.settings.buffer):  # after a resumption without a buffer
             for _ in range(due):
                 measures = self.update(self.buffer.sample())
-                self.updates += 1
+                self.count_update()
         return measures
 
     @property

@@ -85,7 +85,7 @@ class PPO(Algorithm):
                 sum(losses[name] for name in names).backward()
                 nn.utils.clip_grad_norm_(self.loss.parameters(), self.settings.largest_gradient)
                 self.optimisers["loss"].step()
-                self.updates += 1
+                self.count_update()
                 measures = {name: losses[name].detach() for name in (*names, "entropy")}
         self.normaliser.update(self.all_seen(rollout))
         return measures
