@@ -173,7 +173,7 @@ def read_plan(path: Path) -> list[tuple[str, str]]:
     """
     entries = read_yaml(path).get("plan")
     if not isinstance(entries, list) or not entries:
-        raise ValueError(f"{path} is no plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
+        raise ValueError(f"{path} is not a plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
     for number, entry in enumerate(entries):
         if not isinstance(entry, dict) or set(entry) != {"motion", "mount"} or entry["mount"] not in MOUNTS[:2]:
             raise ValueError(f"{path}, entry {number}: need a motion and a mount (floor or stand), got {entry!r}")

@@ -35,7 +35,7 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
     if OmegaConf.select(cfg, "population") is not None:
         return found
     if found.get("best_value") is None:
-        raise ValueError(f"none of the {found['n_trials']} runs gave one number; look at the folders in {folder}")
+        raise ValueError(f"none of the {found['n_trials']} runs returned a result; see the folders in {folder}")
     best = ", ".join(f"{name}={value:.4g}" for name, value in (found["best_params"] or {}).items())
     headline = f"The best of {found['n_trials']} runs gives {found['best_value']:.4g}: {best}."
     results = (folder / "optimization_results.yaml",)

@@ -153,7 +153,7 @@ def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
             )
     if estimate.by:
         raise ValueError(
-            f"{name!r}: the model has values of {base} under conditions of logs, which cannot be searched per joint"
+            f"{name!r}: the model has values of {base} by condition (`by`), which cannot be searched per joint"
             " too; remove them from the model file or leave the parameter out of `per_joint`"
         )
 

@@ -17,7 +17,7 @@ from op3.robot import Robot, load_robot
 from op3.rollout.read import robot_of
 from op3.servo import Parameter, RobotModel, catalogue, parameter
 from op3.servo.conditions import split_name
-from op3.sim import load_model, model_for
+from op3.sim import model_for
 
 MARGIN = 3.0
 """How far from what a robot's own makes of servo say a parameter of motor or friction may lie: by this factor."""
@@ -43,7 +43,7 @@ def _robot_of(data: Any) -> Robot:
 
 def chosen_model(config: DictConfig) -> RobotModel:
     """The model that a config starts from: its `model`, else the robot's own."""
-    return load_model(config.model) if config.get("model") else model_for(chosen_robot(config))
+    return model_for(chosen_robot(config), config.get("model"))
 
 
 def _bounds(name: str, config: DictConfig) -> tuple[float, float]:

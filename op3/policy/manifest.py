@@ -121,7 +121,7 @@ class Manifest:
         for name, (made, here) in fields.items():
             if made != here:
                 raise ValueError(
-                    f"field {name} of its manifest is {made}, here it is {here}; it was trained for {self.task}: "
+                    f"field {name} of its manifest is {made}, expected {here}; the policy was trained for {self.task}: "
                     "choose that task, or another policy"
                 )
 

@@ -1,6 +1,7 @@
-"""Models of other simulators: what of a model MuJoCo and BAM can express, and BAM's parameters as a model.
+"""Models of other simulators: what of a model MuJoCo and BAM can express, and parameters of BAM and PACE as a model.
 
 BAM is Rhoban's library of servo models (github.com/Rhoban/bam); its JSON has one servo's parameters at the output.
+PACE identifies joints in Isaac Lab (github.com/leggedrobotics/pace-sim2real); its runs have `mean_<iteration>.pt`.
 mjlab and MuJoCo Playground take the MJCF as it is.
 """
 
@@ -16,11 +17,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import torch
 
 from op3.robot.model_source import read_model
 from op3.robot.robot import Robot
 from op3.robot.servo_make import find_servo
-from op3.servo import RobotModel, effect_class
+from op3.servo import Estimate, RobotModel, effect_class
 
 _DRIVES = ("position_servo", "motor", "coulomb", "viscous")
 
@@ -112,7 +114,7 @@ def from_bam(content: Mapping[str, Any]) -> RobotModel:
     actuator = str(content.get("actuator"))
     make = find_servo(actuator)
     if make is None or make.position_law is None:
-        raise ValueError(f"actuator {actuator!r} is no servo of assets/servos with a position loop; correct its name")
+        raise ValueError(f"actuator {actuator!r} is not a servo of assets/servos with a position loop; correct it")
     law, given = make.position_law, {"command_delay": 0.0, "q_offset": 0.0, **content}
     loop = {"error_gain": law.error_gain.si, "max_duty": law.max_duty.si, "goal_speed": law.goal_speed.si}
     options: dict[str, dict[str, Any]] = {
@@ -132,6 +134,47 @@ def from_bam(content: Mapping[str, Any]) -> RobotModel:
             values[ours] = float(given[theirs])
         effects += [effect_class(effect)(**options.get(effect, {}))] if there else []
     return RobotModel(tuple(effects), bus_voltage=make.supply.si).with_values(values)
+
+
+def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
+    """A robot's drive with what PACE found: armature, viscous and Coulomb friction and zeros by joint, and a delay.
+
+    PACE counts the delay in steps of its simulator, which are those of the data in its `config.pt`.
+
+    Args:
+        path: `mean_<iteration>.pt`, or a folder of which the latest counts; `config.pt` lies there too.
+        base: of the robot's servos, whose drive is kept; PACE's is not in its files.
+        robot: whose joints are named.
+
+    Raises:
+        ValueError: if a file is missing or not PACE's, or names other joints than the robot has.
+    """
+    if path.is_dir():
+        found = {int(one.stem[5:]): one for one in path.glob("mean_*.pt") if one.stem[5:].isdigit()}
+        path = found[max(found)] if found else path / "mean_<iteration>.pt"
+    about = path.with_name("config.pt")
+    for file in (path, about):
+        if not file.is_file():
+            raise ValueError(f"{file}: there is no such file; give a folder as PACE wrote it")
+    mean, run = (torch.load(file, map_location="cpu", weights_only=True) for file in (path, about))
+    if not isinstance(run, Mapping) or not {"joint_order", "time"} <= run.keys():
+        raise ValueError(f"{about}: `joint_order` or `time` is missing; give a folder that PACE wrote")
+    joints, period = list(run["joint_order"]), float(torch.as_tensor(run["time"]).double().diff().median())
+    if not isinstance(mean, torch.Tensor) or mean.shape != (4 * len(joints) + 1,) or not mean.isfinite().all():
+        raise ValueError(f"{path}: not the {4 * len(joints) + 1} finite numbers of {len(joints)} joints and a delay")
+    if unknown := [name for name in joints if name not in robot.joints]:
+        raise ValueError(f"{about}: {robot.reference} has no joint {unknown[0]!r}; give `robot=` a file with that name")
+    kept = tuple(effect for effect in base.effects if effect.name in (*_DRIVES, "current_pd", "latency"))
+    known = {parameter.name for effect in kept for parameter in effect.parameters}
+    values = {name: value for name, value in base.estimates.items() if name in known}
+    *by_joint, delay = mean.double().tolist()
+    names = ("armature", "viscous_friction", "coulomb_friction", "encoder_offset")
+    for name, own in zip(
+        names, np.reshape(by_joint, (4, -1)) * [[1], [1], [1], [-1]], strict=True
+    ):  # q - b is measured
+        values[name] = Estimate(float(own.mean()), joints=dict(zip(joints, own.tolist(), strict=True)))
+    values["command_latency"] = Estimate(round(delay) * period)
+    return replace(base, effects=(*kept, effect_class("encoder_offset")()), estimates=values)
 
 
 def to_mjcf(model: RobotModel, robot: Robot, p_gain: float | None = None, d_gain: float = 0.0) -> str:

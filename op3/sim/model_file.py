@@ -13,7 +13,6 @@ from op3.common.settings import read_yaml
 from op3.common.writing import write_text
 from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.servo.conditions import split_name
-from op3.sim.foreign_models import from_bam
 
 FORMAT = "op3-model/1"
 
@@ -37,6 +36,8 @@ def load_model(name_or_path: str | Path) -> RobotModel:
     content = read_yaml(path)
     try:
         if isinstance(content, Mapping) and "actuator" in content and "format" not in content:
+            from op3.sim.foreign_models import from_bam  # not read by all who simulate
+
             return from_bam(content)
         return from_dict(content)
     except ValueError as error:

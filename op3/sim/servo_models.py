@@ -38,8 +38,12 @@ def servo_model(robot: Robot) -> RobotModel:
 
 
 def model_for(robot: Robot, name: str | Path | None = None) -> RobotModel:
-    """The model of this name or file; where none is given that of the robot's file, else one made of its servos."""
+    """The model of this name, file or run of PACE; else that of the robot's file, else one made of its servos."""
     chosen = name or robot.file.law
+    if chosen and (Path(chosen).suffix == ".pt" or (Path(chosen) / "config.pt").is_file()):
+        from op3.sim.foreign_models import from_pace  # not read by all who simulate
+
+        return from_pace(Path(chosen), servo_model(robot), robot)
     return load_model(chosen) if chosen else servo_model(robot)
 
 

@@ -20,7 +20,7 @@ def foot_of(joint: str, robot: Robot) -> int:
     """
     found = [foot for foot, leg in enumerate(robot.legs) if joint in leg]
     if not found:
-        raise ValueError(f"{joint} is in no leg; a gait is of a leg's joints")
+        raise ValueError(f"{joint} is not in a leg; a gait needs joints of legs")
     return found[0]
 
 

@@ -15,7 +15,11 @@ POLICIES = Path(__file__).resolve().parents[2] / "assets" / "policies"
 @pytest.mark.parametrize(
     ("name", "task", "message"),
     [
-        (str(POLICIES / "balance"), "walk", r"does not fit task walk: field layout .* it was trained for balance"),
+        (
+            str(POLICIES / "balance"),
+            "walk",
+            r"does not fit task walk: field layout .* the policy was trained for balance",
+        ),
         ("stiff", "balance", "policy=stiff walks, but task balance has no gait"),
     ],
 )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from op3.robot import load_robot
 from op3.sim import load_model, model_for
@@ -36,7 +38,7 @@ def test_parameters_of_bam_come_in_and_go_out_as_they_were(tmp_path):
     ("changed", "said"),
     [
         ({"R": None}, "'R' is None"),
-        ({"actuator": "nobody"}, "is no servo of assets/servos"),
+        ({"actuator": "nobody"}, "is not a servo of assets/servos"),
         ({"kt": "x"}, "no number"),
     ],
 )
@@ -68,3 +70,47 @@ def test_mujoco_s_position_actuator_is_the_servo_s_loop():
     mujoco.mj_step(model, data, 500)
     assert np.abs(data.qpos - 0.2).max() < 0.1
     assert "dte" in expressed(servos, "mjcf")[1]
+
+
+def pace_run(folder, joints, mean):
+    """What PACE leaves: data at 400 Hz, and the mean of its last iterations."""
+    time = torch.arange(8) * 0.0025
+    torch.save({"bounds": torch.zeros(len(mean), 2), "joint_order": joints, "time": time}, folder / "config.pt")
+    torch.save(torch.zeros(len(mean)), folder / "mean_090.pt")
+    torch.save(torch.tensor(mean), folder / "mean_190.pt")
+    return folder
+
+
+def test_a_run_of_pace_is_a_model(tmp_path):
+    """Its latest mean: four numbers of each joint and a delay in steps; what is measured is the angle less the bias."""
+    robot = load_robot("arm")
+    joints = [str(name) for name in robot.joints][::-1][:2]
+    mean = [0.01, 0.02, 0.3, 0.4, 0.05, 0.06, 0.007, -0.008, 2.0]
+    model = model_for(robot, pace_run(tmp_path, joints, mean))
+    assert set(model.effect_names) == {"position_servo", "motor", "latency", "coulomb", "viscous", "encoder_offset"}
+    assert model.value("command_latency") == pytest.approx(0.005)
+    found = {name: values[0].tolist() for name, values in model.tensors(joints).items()}
+    assert found["armature"] == pytest.approx(mean[:2])
+    assert found["viscous_friction"] == pytest.approx(mean[2:4])
+    assert found["coulomb_friction"] == pytest.approx(mean[4:6])
+    assert found["encoder_offset"] == pytest.approx([-0.007, 0.008])
+    assert model.value("torque_constant") == model_for(robot).value("torque_constant")
+
+
+@pytest.mark.parametrize(
+    ("joints", "mean", "said"),
+    [
+        (["nobody"], [0.1] * 5, "config.pt: arm has no joint 'nobody'"),
+        (None, [0.1] * 5, "mean_190.pt: not the 9 finite numbers of 2 joints"),
+        (None, [0.1] * 8 + [np.nan], "mean_190.pt: not the 9 finite numbers"),
+        (None, None, "mean_<iteration>.pt: there is no such file"),
+    ],
+)
+def test_a_run_of_pace_that_does_not_fit_is_refused(tmp_path, joints, mean, said):
+    """In one sentence with the file."""
+    robot = load_robot("arm")
+    folder = pace_run(tmp_path, joints or list(robot.joints)[:2], mean or [0.1] * 9)
+    for file in () if mean else folder.glob("mean_*"):
+        file.unlink()
+    with pytest.raises(ValueError, match=re.escape(said)):
+        model_for(robot, folder)

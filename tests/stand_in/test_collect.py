@@ -102,7 +102,7 @@ def test_a_plan_is_played_in_order(tmp_path):
     assert "choose mount=stand" in result.stderr
     assert not (tmp_path / "unsafe" / "hold-0").exists()
     plan.write_text("plan: squat\n")
-    assert "is no plan" in collect(f"plan={plan}").stderr
+    assert "is not a plan" in collect(f"plan={plan}").stderr
 
 
 def test_what_has_been_recorded_is_not_recorded_again(tmp_path):
