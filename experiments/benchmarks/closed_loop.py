@@ -110,12 +110,16 @@ def case_of(fault: str, robot: str, seed: int) -> Case:
     return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
 
 
-def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage:
-    """The stage with an effect that is known to be there, its size and the base fitted as a finding's are."""
+def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage | None:
+    """The stage with an effect that is known to be there, its size and the base fitted as a finding's are; None where
+    the judge has dropped that effect before anything was refitted."""
     names = search.reduction.engine.joints
     place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
     odds = stage.judge.scores(stage.fit)
-    number = max((i for i, one in enumerate(stage.found) if one.place == place), key=lambda i: float(odds[i]))
+    there = [i for i, one in enumerate(stage.found) if one.place == place]
+    if not there:
+        return None
+    number = max(there, key=lambda i: float(odds[i]))
     with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
     step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
     return search.with_best(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.state)])
@@ -145,7 +149,8 @@ def diagnosed(case: Case) -> dict[str, Any]:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     models, search = [given, verdict.base, verdict.model], diagnosis.search
     if case.hidden and search is not None:
-        models.append(with_hidden_effect(search, diagnosis.stages[0], case.hidden[0]).base.model)
+        stage = with_hidden_effect(search, diagnosis.stages[0], case.hidden[0])
+        models += [] if stage is None else [stage.base.model]
     errors = window_errors(models, split.show)
     findings = [
         {
