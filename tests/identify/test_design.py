@@ -66,7 +66,7 @@ def test_moving_tells_friction_and_standing_still_does_not():
     bounds = {"viscous_friction": (0.0, 0.5), "coulomb_friction": (0.0, 0.3)}
     model = load_model("paper")
     motions = [
-        hold(pose("stand"), 0.8),
+        hold(pose("stand", "op3"), 0.8),
         triangle({"l_knee": 0.1}, speed=0.5, cycles=1),
         chirp({"l_knee": 0.2}, low=1.0, high=3.0, duration=1.0),
     ]
