@@ -189,10 +189,10 @@ def excitations() -> Image.Image:
     """Motions that make parameters visible."""
     knee = {"l_knee": 0.4}
     motions: dict[str, Motion] = {
-        "chirp": chirp(knee, low=0.3, high=4.0, duration=8.0),
-        "triangle": triangle(knee, speed=0.4),
-        "multisine": multisine(knee, duration=8.0),
-        "staircase": staircase(knee),
+        "chirp": chirp(knee, low=0.3, high=4.0, duration=8.0, robot="op3"),
+        "triangle": triangle(knee, speed=0.4, robot="op3"),
+        "multisine": multisine(knee, duration=8.0, robot="op3"),
+        "staircase": staircase(knee, robot="op3"),
     }
     figure, axes = panels(len(motions), 1, 5.0)
     for axis, (name, motion) in zip(axes, motions.items(), strict=True):

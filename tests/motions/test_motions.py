@@ -70,15 +70,15 @@ def test_squat_arguments():
 def test_what_is_no_motion(time, position, joints, message):
     """Arrays that cannot be a motion are refused with the reason."""
     with pytest.raises(ValueError, match=message):
-        Motion(np.array(time), np.array(position), joints)
+        Motion(np.array(time), np.array(position), joints, robot="op3")
 
 
 def test_bad_arguments():
     """Wrong shapes and durations are refused with the offending value."""
     with pytest.raises(ValueError, match=r"\(2, 20\), got \(3, 20\)"):
-        Motion(np.arange(2.0), np.zeros((3, 20)))
+        Motion(np.arange(2.0), np.zeros((3, 20)), robot="op3")
     with pytest.raises(ValueError, match="must be positive"):
-        hold(pose("stand", "op3"), duration=0.0)
+        hold(pose("stand", "op3"), duration=0.0, robot="op3")
 
 
 def test_minimum_jerk():
