@@ -48,7 +48,7 @@ def law_alone(robots: int) -> Callable[[], float]:
 
 def standing() -> BatchSimulation:
     """64 OP3s that have sunk into their stand pose, with the paper's full law."""
-    setup = Setup.of_mount("floor")
+    setup = Setup.of_mount("floor", robot="op3")
     model, names = load_model("paper"), setup.scene.joint_names
     simulation = BatchSimulation(setup.mj_model, names, model, SIMS, base_body=setup.base_body)
     stand = pose("stand", "op3")

@@ -13,7 +13,7 @@ COMMANDS = {"p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
 
 
 def simulation(num_sims: int, model: RobotModel | None = None) -> tuple[BatchSimulation, np.ndarray]:
-    setup = Setup.of_mount("floor")
+    setup = Setup.of_mount("floor", robot="op3")
     model = model or load_model("paper")
     made = BatchSimulation(setup.mj_model, setup.scene.joint_names, model, num_sims, base_body=setup.base_body)
     return made, setup.scene.initial_qpos(pose("stand", "op3"))

@@ -34,7 +34,7 @@ TICKS = 120
 @pytest.fixture(scope="module")
 def recorded():
     """A leg on the stand that follows three sines, as MuJoCo simulates it: setup, model, motion."""
-    setup, model = Setup.of_mount("stand"), load_model("paper")
+    setup, model = Setup.of_mount("stand", robot="op3"), load_model("paper")
     time = np.arange(TICKS) * PERIOD
     columns = [JOINTS.index(joint) for joint in LEG]
     target = np.tile(pose("stand", "op3"), (TICKS, 1))

@@ -120,7 +120,7 @@ def test_table_one():
 def test_moving_ground_cannot_be_replayed():
     """A log of a board is not replayed on a board that stays level."""
     with pytest.raises(ValueError, match="cannot be replayed"):
-        Setup.of_mount("board")
+        Setup.of_mount("board", robot="op3")
 
 
 def test_a_policy_of_another_task_is_refused():
