@@ -59,7 +59,8 @@ def poses() -> Image.Image:
     scene = build_scene("floor")
     return strip(
         draw_frames(
-            scene.compile(), np.stack([scene.initial_qpos(pose(n)) for n in ("stand", "squat_high", "squat_low")])
+            scene.compile(),
+            np.stack([scene.initial_qpos(pose(n, "op3")) for n in ("stand", "squat_high", "squat_low")]),
         )
     )
 
@@ -188,10 +189,10 @@ def excitations() -> Image.Image:
     """Motions that make parameters visible."""
     knee = {"l_knee": 0.4}
     motions: dict[str, Motion] = {
-        "chirp": chirp(knee, low=0.3, high=4.0, duration=8.0),
-        "triangle": triangle(knee, speed=0.4),
-        "multisine": multisine(knee, duration=8.0),
-        "staircase": staircase(knee),
+        "chirp": chirp(knee, low=0.3, high=4.0, duration=8.0, robot="op3"),
+        "triangle": triangle(knee, speed=0.4, robot="op3"),
+        "multisine": multisine(knee, duration=8.0, robot="op3"),
+        "staircase": staircase(knee, robot="op3"),
     }
     figure, axes = panels(len(motions), 1, 5.0)
     for axis, (name, motion) in zip(axes, motions.items(), strict=True):
@@ -226,7 +227,7 @@ def bus() -> Image.Image:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "frames.txt"
         robot = connect("emulated", mount="stand", record=file)
-        run(robot, lambda: HoldPose(pose("stand"), duration=0.5, log="run"), Plan(folder=Path(folder) / "run"))
+        run(robot, lambda: HoldPose(pose("stand", "op3"), duration=0.5, log="run"), Plan(folder=Path(folder) / "run"))
         frames = read_frames(file)
     middle = frames[len(frames) // 2].time
     figure, axis = panels(height=2.2)
@@ -249,7 +250,7 @@ def bricks() -> Image.Image:
     frames = []
     for name in ("bricks_a", "bricks_b", "bricks_c", "bricks_d"):
         scene = build_scene(name)
-        state = scene.initial_qpos(pose("stand"))
+        state = scene.initial_qpos(pose("stand", "op3"))
         state[0], state[2] = state[0] + 0.8, state[2] + 0.005
         frames.append(draw_frames(scene.compile(), state[None])[0])
     return strip(np.stack(frames), top=80)

@@ -113,8 +113,8 @@ def run(cfg: DictConfig) -> None:
     whole(cfg, "seed", 0)
     whole(cfg, "episodes", 1)
     seconds = positive(cfg, "film_seconds", "s")
-    if cfg.joint not in load_robot().controlled:
-        raise ValueError(f"joint={cfg.joint}: choose {', '.join(load_robot().controlled)}")
+    if cfg.joint not in (controlled := load_robot("op3").controlled):
+        raise ValueError(f"joint={cfg.joint}: choose {', '.join(controlled)}")
     folder = Path(cfg.folder)
     folder.mkdir(parents=True, exist_ok=True)
     label = Path(cfg.policy).name

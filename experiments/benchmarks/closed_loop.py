@@ -52,7 +52,7 @@ def arm_suite(seed: int) -> list[Excitation]:
     for run in leg_suite(seed):
         away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)
         position = np.clip(home + 1.5 * away, limits[:, 0] + 0.02, limits[:, 1] - 0.02)
-        motion = Motion(run.motion.time, position, ARM, run.motion.name)
+        motion = Motion(run.motion.time, position, ARM, run.motion.name, robot="op3")
         runs.append(Excitation(motion, run.p_gain, run.d_gain, run.tilt, run.warm))
     return runs
 

@@ -20,7 +20,7 @@ TICKS = 5000
 
 def main() -> None:
     """Check every tick of the walk that the OP3 comes with, and print the times of a tick."""
-    robot, position = load_robot(), SinusoidalGait().motion(TICKS * PERIOD, rate=1 / PERIOD).position
+    robot, position = load_robot("op3"), SinusoidalGait().motion(TICKS * PERIOD, rate=1 / PERIOD).position
     velocity = np.gradient(position, PERIOD, axis=0)
     parts, p_gain = SelfCollision(robot, margin=0.0), np.full(len(robot.joints), GAIN_HIGH)
     taken = []

@@ -35,7 +35,7 @@ class Computer:
         self.port.setBaudRate(2_000_000)
         self.packets.write1ByteTxRx(self.port, OPEN_CR_ID, 24, 1)
         robot.clock.sleep(0.2)
-        self.ids = list(load_robot().bus_ids.values())
+        self.ids = list(load_robot("op3").bus_ids.values())
         self.reader = GroupSyncRead(self.port, self.packets, 126, 10)
         self.writer = GroupSyncWrite(self.port, self.packets, 102, 2)
         for number in self.ids:
@@ -43,7 +43,7 @@ class Computer:
                 self.packets.writeTxRx(self.port, number, address, size, list(value.to_bytes(size, "little")))
             self.reader.addParam(number)
             self.writer.addParam(number, [0, 0])
-        self.target = load_robot().home
+        self.target = load_robot("op3").home
         self.start, self.ticks = robot.clock.now(), 0
 
     def tick(self) -> None:

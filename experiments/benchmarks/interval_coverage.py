@@ -80,8 +80,8 @@ def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, 
         kept = [log for log in logs if log is not None]
         if len(kept) == len(motions):
             break
-    loss = TrajectoryLoss(load_robot().controlled, skip=cfg.skip)
-    problem = Identification(base, kept, [], list(ranges), joints=load_robot().controlled, loss=loss)
+    loss = TrajectoryLoss(load_robot("op3").controlled, skip=cfg.skip)
+    problem = Identification(base, kept, [], list(ranges), joints=load_robot("op3").controlled, loss=loss)
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in ranges.items()})
     nominal = {PREFIX + name: p.nominal for name, p in ranges.items()}
     study = run_study(

@@ -28,9 +28,9 @@ ROBOTS = (1, 32, 64, 600)
 def law_alone(robots: int) -> Callable[[], float]:
     """A call of the paper's full law, for some robots in motion [s]."""
     model = load_model("paper")
-    law = Servos(model.effects, load_robot().joints, robots, 0.001, 0.008)
-    law.set(model.tensors(load_robot().joints))
-    rng, shape = np.random.default_rng(0), (robots, len(load_robot().joints))
+    law = Servos(model.effects, load_robot("op3").joints, robots, 0.001, 0.008)
+    law.set(model.tensors(load_robot("op3").joints))
+    rng, shape = np.random.default_rng(0), (robots, len(load_robot("op3").joints))
     for name, spread in (("position", 0.3), ("velocity", 2.0), ("load_torque", 0.5), ("position_target", 0.3)):
         setattr(law.signals, name, torch.from_numpy(rng.normal(0.0, spread, shape)))
     law.signals.torque_enable, law.signals.bus_voltage, law.signals.p_gain = 1.0, model.bus_voltage, 6.0
@@ -48,10 +48,10 @@ def law_alone(robots: int) -> Callable[[], float]:
 
 def standing() -> BatchSimulation:
     """64 OP3s that have sunk into their stand pose, with the paper's full law."""
-    setup = Setup.of_mount("floor")
+    setup = Setup.of_mount("floor", robot="op3")
     model, names = load_model("paper"), setup.scene.joint_names
     simulation = BatchSimulation(setup.mj_model, names, model, SIMS, base_body=setup.base_body)
-    stand = pose("stand")
+    stand = pose("stand", "op3")
     commands = {"position_target": torch.from_numpy(stand), "p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
     simulation.reset(setup.scene.initial_qpos(stand), commands)
     for _ in range(125):

@@ -71,7 +71,7 @@ class Peer:
         kinds = {"position": mujoco.mjtSensor.mjSENS_JOINTPOS, "velocity": mujoco.mjtSensor.mjSENS_JOINTVEL}
         readings = []
         for log_name, name in zip(log.joints, self.joints, strict=True):
-            for kind, sensor in kinds.items() if log_name in load_robot().controlled else ():
+            for kind, sensor in kinds.items() if log_name in load_robot("op3").controlled else ():
                 measured = log.array(f"joint/{kind}")[:, log.joints.index(log_name)]
                 if measured.any():
                     what = {"name": f"{kind}_{log_name}", "type": sensor, "objname": name}
@@ -85,10 +85,14 @@ class Peer:
         if name == "torque_constant":
             for joint in self.joints:
                 actuator = spec.actuator(joint)
-                gain = load_robot().servos[0].motor.gear_ratio.si * value * self.p_gain
+                gain = load_robot("op3").servos[0].motor.gear_ratio.si * value * self.p_gain
                 actuator.gainprm[0] = gain
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-                actuator.biasprm[:3] = [0.0, -gain, -load_robot().servos[0].motor.gear_ratio.si * value * self.d_gain]
+                actuator.biasprm[:3] = [
+                    0.0,
+                    -gain,
+                    -load_robot("op3").servos[0].motor.gear_ratio.si * value * self.d_gain,
+                ]
         elif PEER[name] == "joints":
             field = {"armature": "armature", "viscous_friction": "damping", "coulomb_friction": "frictionloss"}[name]
             for joint in self.joints:
@@ -173,8 +177,8 @@ def error_mrad(peer: Peer, values: dict[str, float]) -> float:
     data = mujoco.MjData(model)
     data.qpos[:] = peer.initial
     joints = dict(zip(peer.log.joints, peer.joints, strict=True))
-    places = [int(model.joint(joints[name]).qposadr[0]) for name in load_robot().controlled]
-    columns = [peer.log.joints.index(name) for name in load_robot().controlled]
+    places = [int(model.joint(joints[name]).qposadr[0]) for name in load_robot("op3").controlled]
+    columns = [peer.log.joints.index(name) for name in load_robot("op3").controlled]
     errors = []
     measured, command = peer.log.array("joint/position")[:, columns], peer.log.array("command/position")
     steps = round(1.0 / (peer.log.metadata.rate * model.opt.timestep))
@@ -190,8 +194,8 @@ def fit_ours(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
     base = load_model(cfg.model)
     known = {name: base.parameters()[name] for name in cfg.parameters}
     weights = {("joint", "position"): 1.0, ("joint", "velocity"): 1.0}
-    loss = TrajectoryLoss(load_robot().controlled, weights)
-    problem = Identification(base, [log], [heldout], list(known), joints=load_robot().controlled, loss=loss)
+    loss = TrajectoryLoss(load_robot("op3").controlled, weights)
+    problem = Identification(base, [log], [heldout], list(known), joints=load_robot("op3").controlled, loss=loss)
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in known.items()})
     nominal = {PREFIX + name: p.nominal for name, p in known.items()}
     began = time.monotonic()

@@ -13,7 +13,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from op3.robot import Robot, load_robot
+from op3.robot import DEFAULT, Robot, load_robot
 from op3.rollout.read import robot_of
 from op3.servo import Parameter, RobotModel, catalogue, parameter
 from op3.servo.conditions import split_name
@@ -30,7 +30,7 @@ def chosen_robot(config: DictConfig) -> Robot:
     if "data" in config and not OmegaConf.is_missing(config, "data"):
         data: Any = OmegaConf.to_container(config.data) if OmegaConf.is_config(config.data) else config.data
         return _robot_of(tuple(data) if isinstance(data, list) else data)
-    return load_robot()
+    return load_robot(DEFAULT)
 
 
 @lru_cache(maxsize=8)
@@ -38,7 +38,7 @@ def _robot_of(data: Any) -> Robot:
     try:
         return robot_of(data)
     except ValueError:  # that these are no logs is said where they are read
-        return load_robot()
+        return load_robot(DEFAULT)
 
 
 def chosen_model(config: DictConfig) -> RobotModel:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from op3.motions.motion import Motion, sample_times
 from op3.motions.motion_checks import motion_faults
 from op3.robot.kinematics import minimum_jerk
-from op3.robot.robot import DEFAULT, Robot, load_robot
+from op3.robot.robot import Robot, load_robot
 
 RATE = 125.0
 """Rows per second: the robot's PD loop."""
@@ -57,7 +57,7 @@ def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..
         *args: Any,
         around: str = "home",
         offset: Amplitudes | None = None,
-        robot: str = DEFAULT,
+        robot: str,
         name: str = excursions.__name__,
         duration: float | None = None,
         **own: Any,

@@ -1,12 +1,12 @@
 """Motions as arrays: what the joints are asked to do over time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot.robot import DEFAULT, load_robot
+from op3.robot.robot import load_robot
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Motion:
     mounts: tuple[str, ...] = ("floor", "stand")
     p_gain: float | NDArray[np.float64] = P_GAIN
     d_gain: float = D_GAIN
-    robot: str = DEFAULT
+    robot: str = field(kw_only=True)
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
@@ -73,9 +73,7 @@ def sample_times(duration: float, rate: float) -> NDArray[np.float64]:
     return np.arange(round(duration * rate)) / rate
 
 
-def hold(
-    joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold", robot: str = DEFAULT
-) -> Motion:
+def hold(joint_position: ArrayLike, duration: float, rate: float = 125.0, name: str = "hold", *, robot: str) -> Motion:
     """Stay at the angles `joint_position` [joint] in rad for `duration` [s], with `rate` rows per second."""
     time = sample_times(duration, rate)
     position = load_robot(robot).position(joint_position)

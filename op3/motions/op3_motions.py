@@ -69,7 +69,9 @@ def squat(
     """
     time = sample_times(duration, rate)
     crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
-    return Motion(time, squat_position(knee_high + (knee_low - knee_high) * crouch, lean), name=name)
+    return Motion(
+        time, squat_position(knee_high + (knee_low - knee_high) * crouch, lean), name=name, robot=OP3.reference
+    )
 
 
 def push_down(
@@ -90,7 +92,9 @@ def push_down(
         lean: pitch of the trunk [rad], positive forward.
     """
     knee = levels_over_time(knees, ramp, rest)
-    return Motion(np.arange(len(knee)) / RATE, squat_position(knee, lean), name=name, mounts=("floor",))
+    return Motion(
+        np.arange(len(knee)) / RATE, squat_position(knee, lean), name=name, mounts=("floor",), robot=OP3.reference
+    )
 
 
 def sway(
@@ -108,7 +112,7 @@ def sway(
     position = np.tile(OP3.pose(around), (len(time), 1))
     rolls = OP3.indices(["l_hip_roll", "r_hip_roll", "l_ank_roll", "r_ank_roll"])
     position[:, rolls] += amplitude * (np.sin(2 * np.pi * frequency * time) * fade(time))[:, None]
-    return Motion(time, position, name=name, mounts=("floor",))
+    return Motion(time, position, name=name, mounts=("floor",), robot=OP3.reference)
 
 
 def soften(
@@ -136,7 +140,7 @@ def soften(
     fall = (1 - np.cos(2 * np.pi * np.minimum(time, cycles * period) / period)) / 2
     position = np.tile(squat_position(knee, lean), (len(time), 1))
     gain = P_GAIN * (p_gain / P_GAIN) ** fall
-    return Motion(time, position, name=name, mounts=("floor",), p_gain=gain, d_gain=D_GAIN)
+    return Motion(time, position, name=name, mounts=("floor",), p_gain=gain, d_gain=D_GAIN, robot=OP3.reference)
 
 
 @dataclass(frozen=True)
@@ -178,7 +182,7 @@ class SinusoidalGait:
     def motion(self, duration: float, rate: float = RATE) -> Motion:
         """The walk as targets of all joints, for a duration [s] at a rate [Hz]."""
         time = np.arange(round(duration * rate)) / rate
-        return Motion(time, self.targets(time), name="sinusoidal_gait")
+        return Motion(time, self.targets(time), name="sinusoidal_gait", robot=OP3.reference)
 
     def targets(self, time: Array) -> Array:
         """Targets of all joints [time, joint] in rad at times [time] in s since the start.

@@ -155,7 +155,7 @@ def _whole(right: Motion, left: Motion, seed: int) -> Motion:
     rng = np.random.default_rng([seed, 22, zlib.crc32(right.name.encode())])
     position[:, OP3.indices(upper)] += _sway(time, rng, len(upper))
     low, high = OP3.limits.T
-    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name)
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name, robot=OP3.reference)
 
 
 def _sway(time: Array, rng: np.random.Generator, count: int) -> Array:
@@ -168,7 +168,7 @@ def _sway(time: Array, rng: np.random.Generator, count: int) -> Array:
 
 def _motion(time: Array, position: Array, name: str) -> Motion:
     low, high = OP3.limits[OP3.indices(LEG_JOINTS)].T
-    return Motion(time, np.clip(position, low + 0.01, high - 0.01), LEG_JOINTS, name)
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), LEG_JOINTS, name, robot=OP3.reference)
 
 
 def _centre() -> Array:

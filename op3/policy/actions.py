@@ -115,7 +115,7 @@ class ActionMap:
             joints: the controlled joints; None: those of the robot.
             robot: whose; None: the OP3.
         """
-        robot = load_robot() if robot is None else robot
+        robot = load_robot("op3") if robot is None else robot
         joints = robot.controlled if joints is None else joints
         places = robot.indices(joints)
         stand, (low, high) = robot.home[places], robot.limits[places].T

@@ -74,7 +74,7 @@ class Replay:
         self._groups: list[_Group] = []
         mounts = [(*_mount(log), log.joints, _control_period(log), log.robot.reference) for log in logs]
         for mount, members in groupby(sorted(range(len(logs)), key=mounts.__getitem__), key=mounts.__getitem__):
-            setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], *mount[3:])
+            setup = Setup.of_mount(mount[0], bench_timestep, mount[1:3], *mount[3:-1], robot=mount[-1])
             self._groups.append(_Group(list(members), logs, setup, settle, duration, num_threads))
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from op3.common.settings import CONTROL_PERIOD
-from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot import Robot, load_robot
 from op3.rollout import LogError, Rollout
 from op3.scenes import build_bench, build_scene
 from op3.scenes.scene import Scene
@@ -45,7 +45,8 @@ class Setup:
         tilt: tuple[float, float] = (0.0, 0.0),
         joints: Sequence[str] | None = None,
         control_period: float = CONTROL_PERIOD,
-        robot: str | Robot = DEFAULT,
+        *,
+        robot: str | Robot,
     ) -> "Setup":
         """The setup for logs of this mount.
 

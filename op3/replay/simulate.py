@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from op3.motions import Motion
 from op3.replay.log_replay import Replay
-from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot import Robot, load_robot
 from op3.rollout import Metadata, Rollout
 from op3.servo import RobotModel
 from op3.sim import model_for, model_hash
@@ -86,7 +86,7 @@ class ModelRobot:
         seed: of the noise; every recording draws from its own stream.
     """
 
-    def __init__(self, robot: str = DEFAULT, model: str | None = None, mount: str = "stand", seed: int = 0):
+    def __init__(self, robot: str, model: str | None = None, mount: str = "stand", seed: int = 0):
         self.robot = load_robot(robot)
         self.model = model_for(self.robot, model)
         self._mount, self._seed, self._played = mount, seed, 0

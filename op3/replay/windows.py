@@ -379,7 +379,7 @@ def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
     told = log.log.metadata
     if told.mount == "pendulum":
         return PendulumBase(float(told.mass or 0.0), float(told.length or 0.0))
-    return fixed_base(joints, log.tilt, log.log.robot.reference)
+    return fixed_base(joints, log.log.robot.reference, log.tilt)
 
 
 def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -> TrajectoryDynamics:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.robot.robot import DEFAULT, Robot, load_robot
+from op3.robot.robot import Robot, load_robot
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def _forward(joint_position: ArrayLike, robot: str | Robot) -> tuple[Robot, mujo
     return known, data, np.zeros(3) if base is None else data.body(base).xpos.copy()
 
 
-def sole_corners(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array:
+def sole_corners(joint_position: ArrayLike, robot: str | Robot) -> Array:
     """Corners of the boxes of the soles relative to the base [m].
 
     Args:
@@ -43,15 +43,13 @@ def sole_corners(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Arr
     return np.array([box.xpos + (_CORNER_SIGNS * half) @ box.xmat.reshape(3, 3).T - base for box, half in boxes])
 
 
-def key_points(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array:
+def key_points(joint_position: ArrayLike, robot: str | Robot) -> Array:
     """The key points relative to the base [m], [key point, xyz] in the order of the robot's file."""
     known, data, base = _forward(joint_position, robot)
     return np.array([data.site(name).xpos for name in known.file.key_points]) - base
 
 
-def standing_height(
-    joint_position: ArrayLike, roll: float = 0.0, pitch: float = 0.0, robot: str | Robot = DEFAULT
-) -> float:
+def standing_height(joint_position: ArrayLike, robot: str | Robot, roll: float = 0.0, pitch: float = 0.0) -> float:
     """Height [m] of the base's origin above a floor that the robot's soles just touch.
 
     Args:
@@ -75,16 +73,16 @@ def standing_height(
 @lru_cache(maxsize=8)
 def home_height(robot: Robot) -> float:
     """Height [m] of the base's origin above level ground in the home pose."""
-    return standing_height(robot.home, *level_soles(robot.home, robot), robot)
+    return standing_height(robot.home, robot, *level_soles(robot.home, robot))
 
 
-def sole_normals(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> Array:
+def sole_normals(joint_position: ArrayLike, robot: str | Robot) -> Array:
     """Unit vectors that point up from the feet, in the base's frame, [foot, xyz]."""
     known, data, _ = _forward(joint_position, robot)
     return np.array([data.body(foot).xmat.reshape(3, 3)[:, 2] for foot in known.file.feet])
 
 
-def level_soles(joint_position: ArrayLike, robot: str | Robot = DEFAULT) -> tuple[float, float]:
+def level_soles(joint_position: ArrayLike, robot: str | Robot) -> tuple[float, float]:
     """Roll and pitch [rad] of a base whose soles, on average over the feet, are level; zero where feet are no soles."""
     if not load_robot(robot).file.soles:
         return 0.0, 0.0

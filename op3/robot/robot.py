@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _log = logging.getLogger("op3.robot")
 
 DEFAULT = "op3"
-"""The robot that is meant where none is named."""
+"""The robot that is meant where the user of a command, or a log of the first format, names none."""
 
 
 class Robot:
@@ -299,7 +299,7 @@ class Robot:
         return load_robot, (str(self.path),)
 
 
-def load_robot(name: str | Path | Robot = DEFAULT) -> Robot:
+def load_robot(name: str | Path | Robot) -> Robot:
     """A robot by its name in ``assets/robots`` or by the path of its file; a `DataFileError` if that is wrong."""
     if isinstance(name, Robot):
         return name
@@ -325,7 +325,7 @@ def checked_angles(joint_position: ArrayLike, count: int) -> Array:
     return position
 
 
-def pose(name: str, robot: str | Robot = DEFAULT) -> Array:
+def pose(name: str, robot: str | Robot) -> Array:
     """Joint angles [joint] in rad of a robot's pose; see `Robot.pose`."""
     return load_robot(robot).pose(name)
 

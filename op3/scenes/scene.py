@@ -131,7 +131,7 @@ class Scene:
             level_roll, level_pitch = level_soles(position, self.robot_file)
             roll = level_roll if roll is None else roll
             pitch = level_pitch if pitch is None else pitch
-            height = standing_height(position, roll, pitch, self.robot_file)
+            height = standing_height(position, self.robot_file, roll, pitch)
             return np.concatenate([*self._on_ground(height, roll, pitch), every, self._others()])
         if roll or pitch:
             raise ValueError(
@@ -250,7 +250,7 @@ def _on_floor(name: str, known: Robot, laid: Any = None) -> Scene:
     height = AXIS_HEIGHT + TOP_HEIGHT if board else 0.0
     # The model's reference pose stands on the ground, legs straight: tracking cameras measure from it.
     frame: Any = arena.add_free_entity(robot)
-    frame.pos = [0.0, 0.0, height + standing_height(known.pose("zero"), robot=known)]
+    frame.pos = [0.0, 0.0, height + standing_height(known.pose("zero"), known)]
     ground = ["floor"]
     own = laid is not None
     if not own and name != "floor":

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from op3.robot import DEFAULT, load_robot
+from op3.robot import load_robot
 from op3.robot.register_units import GRAVITY
 from op3.scenes import build_scene
 from op3.servo import RobotModel
@@ -22,11 +22,11 @@ class FixedBase:
     """The limbs of a robot on a stand that are in the logs, compiled with their servos.
 
     Args:
-        tilt: roll and pitch of the stand [rad].
         robot: a name in `assets/robots`, or the path of its file.
+        tilt: roll and pitch of the stand [rad].
     """
 
-    def __init__(self, joints: Sequence[str], tilt: tuple[float, float] = (0.0, 0.0), robot: str = DEFAULT):
+    def __init__(self, joints: Sequence[str], robot: str, tilt: tuple[float, float] = (0.0, 0.0)):
         known = load_robot(robot)
         known.indices(joints)
         scene = build_scene("stand", tilt_roll=tilt[0], tilt_pitch=tilt[1], joints=joints, robot=known)
@@ -80,9 +80,9 @@ class FixedBase:
 
 
 @lru_cache(maxsize=64)
-def fixed_base(joints: tuple[str, ...], tilt: tuple[float, float] = (0.0, 0.0), robot: str = DEFAULT) -> FixedBase:
+def fixed_base(joints: tuple[str, ...], robot: str, tilt: tuple[float, float] = (0.0, 0.0)) -> FixedBase:
     """The same, compiled once for logs of the same joints and tilt."""
-    return FixedBase(joints, tilt, robot)
+    return FixedBase(joints, robot, tilt)
 
 
 @dataclass(frozen=True)

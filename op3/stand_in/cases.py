@@ -22,7 +22,6 @@ import yaml
 from numpy.typing import NDArray
 
 from op3.motions import Excitation
-from op3.robot import DEFAULT
 from op3.rollout import Rollout
 from op3.scenes.scene import Scene
 from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden
@@ -94,7 +93,7 @@ class Case:
     world: HiddenWorld
     hidden: tuple[Hidden, ...]
     joints: tuple[str, ...]
-    robot: str = DEFAULT
+    robot: str
 
     def answer(self) -> dict[str, Any]:
         """The sealed answer, as plain values."""
@@ -123,8 +122,9 @@ def draw_case(
     severity: str = "clear",
     effect: str | None = None,
     scale: float = 1.0,
-    robot: str = DEFAULT,
     ranges: Ranges = BENCH_RANGES,
+    *,
+    robot: str,
 ) -> Case:
     """Decide what one case hides.
 
@@ -134,8 +134,8 @@ def draw_case(
         severity: one of `SEVERITIES`; null cases have none.
         effect: hide this one (singles, outsiders, poor cases, and the first of a pair); drawn if None.
         scale: factor on every hidden size, 0 for a robot that differs from this case in nothing else.
-        robot: key of `SETTINGS`.
         ranges: of the robots' numbers.
+        robot: key of `SETTINGS`.
     """
     for name, value, known in (
         ("robot", robot, SETTINGS),

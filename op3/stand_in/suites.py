@@ -81,12 +81,12 @@ def floor_suite(seed: int) -> list[FloorExcitation]:
         return sway(float(draw(0.05, 0.09)), float(draw(0.3, 0.6)), 5.0, name=name)
 
     def arms(name: str) -> Motion:
-        return multisine({joint: float(draw(0.15, 0.4)) for joint in ARM_JOINTS}, duration=5.0, name=name)
+        return multisine({joint: float(draw(0.15, 0.4)) for joint in ARM_JOINTS}, duration=5.0, name=name, robot="op3")
 
     def steps(name: str) -> Motion:
         gait = SinusoidalGait(period=float(draw(0.55, 0.7)), step=0.0, foot_height=float(draw(0.02, 0.035)))
         walk = gait.motion(4.0)
-        return Motion(walk.time, walk.position, walk.joints, name)
+        return Motion(walk.time, walk.position, walk.joints, name, robot=walk.robot)
 
     def pushed() -> tuple[TrunkPush, ...]:
         return tuple(
@@ -111,7 +111,7 @@ def floor_walking(seed: int) -> list[Excitation]:
 
     def run(name: str) -> FloorExcitation:
         walk = SinusoidalGait(period=float(rng.uniform(0.55, 0.7)), step=0.0, foot_height=0.03).motion(4.0)
-        return FloorExcitation(Motion(walk.time, walk.position, walk.joints, name))
+        return FloorExcitation(Motion(walk.time, walk.position, walk.joints, name, robot=walk.robot))
 
     first = run("repeated_walk")
     return [first if i % 6 == 0 else run(f"walk_{i - i // 6}") for i in range(26)]

@@ -155,7 +155,7 @@ def swayed(rates: Tensor, robot: Robot) -> Tensor:
 
     The lever is the height of the trunk above the soles in the stand pose.
     """
-    return standing_height(robot.home, robot=robot) * torch.stack([rates[..., 1], -rates[..., 0]], -1)
+    return standing_height(robot.home, robot) * torch.stack([rates[..., 1], -rates[..., 0]], -1)
 
 
 def _walked(log: Rollout) -> Tensor:

@@ -25,7 +25,6 @@ from op3.identify.problem import Problem, columns
 from op3.identify.sensitivity import Box
 from op3.identify.study import TrialOutcome
 from op3.policy import PolicyBundle
-from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.sim import model_hash
@@ -137,7 +136,7 @@ class Reidentification:
         what = {
             "model": model,
             "excitation": list(excitation),
-            "joints": load_robot().controlled if joints is None else tuple(joints),
+            "joints": episodes[0].robot.controlled if joints is None else tuple(joints),
             "policy": policy,
             "task": self.task,
             "repeats": repeats,

@@ -13,11 +13,11 @@ from tests.op3_table import CONTROLLED_JOINTS
 def measured(model: RobotModel, gain: float) -> tuple[np.ndarray, np.ndarray]:
     """Break-away torque and slope at the stand pose, ``[joint, direction]``."""
     commands = {
-        "position_target": pose("stand")[None],
+        "position_target": pose("stand", "op3")[None],
         "p_gain": np.full((1, 20), gain),
         "d_gain": np.full((1, 20), 0.1),
     }
-    found = back_drive(model, load_robot("op3"), pose("stand")[None], commands)
+    found = back_drive(model, load_robot("op3"), pose("stand", "op3")[None], commands)
     return found.break_away[0], found.slope[0]
 
 

@@ -37,7 +37,7 @@ class CheapPhysics:
     def __init__(self, position: np.ndarray | None = None, load: float = 0.3):
         self.known = OP3
         self.supply: float | None = None
-        self.position = pose("stand") if position is None else np.array(position, dtype=float)
+        self.position = pose("stand", "op3") if position is None else np.array(position, dtype=float)
         self.velocity = np.zeros(len(JOINTS))
         self.load = load * np.where(np.arange(len(JOINTS)) % 2, -1.0, 1.0)
         self.clamped = True
@@ -112,7 +112,7 @@ class Rig:
         current_scale: float = 1.0,
     ) -> SessionOutcome:
         """A session; by default ramp, move to the stand pose, hold it."""
-        stand = pose("stand")
+        stand = pose("stand", "op3")
         logs = None
         if folder is not None:
             logs = Logs(folder, Metadata(joints=JOINTS, robot="emulated", mount="stand", rate=125.0))

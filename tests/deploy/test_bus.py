@@ -69,7 +69,7 @@ def test_state_is_the_same_by_every_block(rig, block):
     state = rig.bus.read_state()
     assert state.answered.all()
     assert state.imu_answered
-    assert np.abs(state.position - pose("stand")).max() <= np.pi / 4096 + 1e-12
+    assert np.abs(state.position - pose("stand", "op3")).max() <= np.pi / 4096 + 1e-12
     assert np.allclose(state.voltage, 12.0)
     assert (state.temperature == 30).all()
     assert state.supply_voltage == pytest.approx(12.0)
@@ -121,7 +121,7 @@ def test_calibration_shifts_angles(rig):
     """An offset of 0.1 rad is added to the servo's angle."""
     rig.bus.calibration = Calibration(np.full(20, 0.1))
     rig.writer.prepare_block()
-    assert np.allclose(rig.bus.read_state().position, pose("stand") + 0.1, atol=1e-3)
+    assert np.allclose(rig.bus.read_state().position, pose("stand", "op3") + 0.1, atol=1e-3)
 
 
 def test_calibration_file_round_trip(tmp_path):
@@ -185,7 +185,7 @@ def test_spoilt_answers_never_become_values(tmp_path, faults):
     for _ in range(60):
         state = rig.bus.read_state()
         missing += int((~state.answered).sum())
-        assert np.abs(state.position - pose("stand")).max() < 1e-3
+        assert np.abs(state.position - pose("stand", "op3")).max() < 1e-3
         rig.robot.clock.sleep(0.004)
     assert missing > 0
 

@@ -17,7 +17,7 @@ LEFT, RIGHT = JOINTS.index("l_hip_roll"), JOINTS.index("r_hip_roll")
 
 def crossed(angle: float) -> np.ndarray:
     """The stand pose with both legs turned inwards by an angle [rad]; the soles meet at 0.045."""
-    position = pose("stand")
+    position = pose("stand", "op3")
     position[LEFT], position[RIGHT] = angle, -angle
     return position
 
@@ -65,7 +65,7 @@ def test_a_pose_that_is_measured_ends_the_run(tmp_path):
                 rig.physics.position = crossed(0.03 + 0.002 * (elapsed - 20))
             return super().command(elapsed, state)
 
-    outcome = rig.run([GainRamp(), Pushed(pose("stand"), 0.1, duration=2.0)])
+    outcome = rig.run([GainRamp(), Pushed(pose("stand", "op3"), 0.1, duration=2.0)])
     assert outcome.code == ExitCode.SELF_COLLISION
     assert outcome.reason.startswith("at the measured angles parts of the robot collide: ")
     assert " mm into " in outcome.reason

@@ -25,7 +25,7 @@ class At(HoldPose):
     """Holds the stand pose and does something once, at a tick."""
 
     def __init__(self, tick, action):
-        super().__init__(pose("stand"), duration=3.0)
+        super().__init__(pose("stand", "op3"), duration=3.0)
         self._tick, self._action = tick, action
 
     def command(self, elapsed, state):
@@ -99,7 +99,7 @@ def test_ctrl_c_on_a_silent_bus(tmp_path):
     rig.robot.at(start + 0.02, interrupt)
     for later in (0.1, 0.5, 1.0, 2.005):
         rig.robot.at(start + later, lambda: pressed.append(signal.raise_signal(signal.SIGINT)))
-    outcome = rig.run([GainRamp(), HoldPose(pose("stand"), duration=5.0)])
+    outcome = rig.run([GainRamp(), HoldPose(pose("stand", "op3"), duration=5.0)])
     assert outcome.code == ExitCode.INTERRUPTED
     assert len(pressed) >= 4
     assert_off(rig, outcome)
@@ -157,7 +157,7 @@ def test_a_bus_that_stays_silent(tmp_path):
     """After five seconds of trying, what could not be verified is said, by name, and the exit code says so too."""
     silent = [Silent(number, 2.0) for number in (*SERVO_IDS.values(), 200)]
     rig = make_rig(tmp_path, faults=Faults(scheduled=tuple(silent)))
-    outcome = rig.run([GainRamp(), HoldPose(pose("stand"), duration=5.0)])
+    outcome = rig.run([GainRamp(), HoldPose(pose("stand", "op3"), duration=5.0)])
     assert outcome.code == ExitCode.NOT_VERIFIED
     assert "torque off verified 0/20; NOT VERIFIED: head_pan (no answer)" in outcome.reason
     assert "Switch the robot's power off by hand" in outcome.reason

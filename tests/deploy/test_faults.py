@@ -16,7 +16,7 @@ from tests.op3_table import HIGH, JOINTS, LOW, OP3, SERVO_IDS, indices
 KNEE, START = SERVO_IDS["l_knee"], 3.0
 """The servo that goes wrong, and when [s]; torque comes on at about 0.9 s."""
 
-PHASES = (GainRamp, lambda: HoldPose(pose("stand"), duration=4.0, log="run"))
+PHASES = (GainRamp, lambda: HoldPose(pose("stand", "op3"), duration=4.0, log="run"))
 
 
 def faulty(tmp_path, *scheduled, **rates):
@@ -240,7 +240,7 @@ def test_what_is_not_finite_never_reaches_a_servo(tmp_path, what, value):
         name, log = "broken", "run"
 
         def command(self, elapsed, state):
-            command = Command.of(pose("stand"), 6.0, 0.1)
+            command = Command.of(pose("stand", "op3"), 6.0, 0.1)
             if elapsed >= 5:
                 getattr(command, what)[3] = value
             return command
@@ -268,7 +268,7 @@ def test_a_held_up_loop_is_told_from_a_running_one(tmp_path):
             return super().command(elapsed, state)
 
     rig = faulty(tmp_path)
-    outcome = rig.run([GainRamp(), Stalling(pose("stand"), duration=2.0)])
+    outcome = rig.run([GainRamp(), Stalling(pose("stand", "op3"), duration=2.0)])
     assert outcome.code == ExitCode.OVERRUN
     assert_released(rig, outcome)
 
@@ -284,7 +284,7 @@ def test_soft_limits(tmp_path):
     command = Command.of(np.full(20, 5.0), 6.0, 0.1).limited(OP3)
     assert np.array_equal(command.position, HIGH)
     assert np.array_equal(Command.of(np.full(20, -5.0), 6.0, 0.1).limited(OP3).position, LOW)
-    position = pose("stand")
+    position = pose("stand", "op3")
     position[indices(["l_knee"])] = HIGH[JOINTS.index("l_knee")] + 0.02
     rig = make_rig(tmp_path, position=position)
     state = limiter_state(rig)

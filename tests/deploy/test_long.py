@@ -28,7 +28,7 @@ def test_an_hour_with_lost_reads(tmp_path):
             missed += int((~state.answered).sum())
             return super().command(elapsed, state)
 
-    outcome = rig.run([GainRamp(), Watched(pose("stand"), duration=3600.0)])
+    outcome = rig.run([GainRamp(), Watched(pose("stand", "op3"), duration=3600.0)])
     assert outcome.code == ExitCode.OK, outcome.reason
     assert outcome.release.ok
     # one lost part of a fast answer hides those behind it: on average ten more

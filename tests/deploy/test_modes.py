@@ -65,7 +65,9 @@ def test_a_whole_run(tmp_path):
     logged = log.array("raw/goal_current")[:, JOINTS.index("l_knee")].tolist()
     first = next(i for i in range(len(goals)) if goals[i : i + len(logged)] == logged)
     assert first > 0
-    assert np.allclose(Rollout.load(tmp_path / "logs" / "after").array("command/position")[-1], pose("squat_low"))
+    assert np.allclose(
+        Rollout.load(tmp_path / "logs" / "after").array("command/position")[-1], pose("squat_low", "op3")
+    )
 
 
 def test_dry_run(tmp_path):
@@ -92,7 +94,7 @@ def test_read_only_writes_nothing(tmp_path):
     assert sent <= {Instruction.PING, Instruction.READ, Instruction.SYNC_READ}
     log = outcome.logs["run"]
     assert log.rows == 62
-    assert np.allclose(log.array("joint/position"), pose("stand"), atol=1e-3)
+    assert np.allclose(log.array("joint/position"), pose("stand", "op3"), atol=1e-3)
     assert np.allclose(log.array("joint/voltage"), 12.0)
 
 
@@ -121,7 +123,7 @@ def test_calibrate(tmp_path):
 
 def test_a_jig_holds_the_emulated_robot_in_any_pose(tmp_path):
     """Without torque bent knees would give way: held, its zeros are within the offsets that are accepted."""
-    held = {"joint_position": pose("stand"), "powered": True, "jig": True}
+    held = {"joint_position": pose("stand", "op3"), "powered": True, "jig": True}
     connection = connect("emulated", mount="stand", **held)
     assert calibrate(connection, tmp_path / "c.yaml", pose_name="stand", report=lambda line: None) == ExitCode.OK
     assert np.abs(Calibration.load(tmp_path / "c.yaml").offset).max() < 0.1
@@ -139,7 +141,7 @@ def test_calibrate_refuses_a_robot_with_torque(tmp_path):
 
 def test_a_motion_out_of_bounds_is_refused_before_anything():
     """A target beyond a soft limit names joint, time and range."""
-    motion = Motion(np.array([0.0, 0.008]), np.array([[0.0], [3.0]]), ("l_knee",), "kick")
+    motion = Motion(np.array([0.0, 0.008]), np.array([[0.0], [3.0]]), ("l_knee",), "kick", robot="op3")
     with pytest.raises(
         ValueError, match=r"'kick' asks l_knee for 3.000 rad at 0.008 s; it may go from -0.314 to 2.199"
     ):
@@ -172,7 +174,14 @@ def shown(panel, rig, times):
     state, ticker = rig.bus.read_state(), Ticker(rig.robot.clock)
     ticker.wait()
     for _ in range(times):
-        panel("hold", state, Command.of(pose("stand"), 5.0, 0.1), np.zeros(20), MonitorResult(note="all odd"), ticker)
+        panel(
+            "hold",
+            state,
+            Command.of(pose("stand", "op3"), 5.0, 0.1),
+            np.zeros(20),
+            MonitorResult(note="all odd"),
+            ticker,
+        )
         deadline = time.monotonic() + 10
         while not (panel._waiting.empty() or panel._stream.delay or time.monotonic() > deadline):
             time.sleep(0.01)

@@ -225,7 +225,7 @@ def test_settings_in_the_servos(tmp_path):
             found[name] = rig.register(name)
         return True
 
-    rig.run([GainRamp(), HoldPose(pose("stand"), until=look)])
+    rig.run([GainRamp(), HoldPose(pose("stand", "op3"), until=look)])
     assert found["operating_mode"] == [0] * 20
     assert found["current_limit"] == np.where(IS_LEG, 855, 430).tolist()
     assert found["bus_watchdog"] == [5] * 20
@@ -289,7 +289,7 @@ def test_the_ramp_begins_softly(tmp_path):
 
 def test_a_long_move_is_slowed(tmp_path):
     """A long move is slowed to 1 rad/s and ends where it should, without a corner."""
-    rig = make_rig(tmp_path, position=pose("zero"))
+    rig = make_rig(tmp_path, position=pose("zero", "op3"))
     rig.run(duration=0.4, folder=tmp_path / "logs")
     log = Rollout.load(tmp_path / "logs" / "approach")
     target = log.array("command/position")
@@ -297,4 +297,4 @@ def test_a_long_move_is_slowed(tmp_path):
     # the knee goes 1.13 rad: 1.875 x 1.13 s = 2.12 s at 1 rad/s
     assert (moving[-1] - moving[0] + 2) * 0.008 == pytest.approx(2.12, abs=0.1)
     assert np.abs(np.diff(target, axis=0)).max() / 0.008 <= 1.01
-    assert np.allclose(target[-1], pose("stand"))
+    assert np.allclose(target[-1], pose("stand", "op3"))

@@ -112,7 +112,7 @@ ANY_POSE = Limits(overlap_ahead=1.0)
 
 
 def far():
-    target = pose("stand")
+    target = pose("stand", "op3")
     target[:] = np.where(target > 0, target - 0.9, target + 0.9)
     return target
 
@@ -130,7 +130,7 @@ def test_currents_on_the_wire_stay_within_peak_and_continuous(tmp_path):
 
 def test_stiffness_comes_back_slowly_after_a_soft_phase(tmp_path):
     """A move behind a soft hold begins with its command: against a stop the currents rise step by step."""
-    rig, near = blocked(make_rig(tmp_path)), pose("stand") + 0.1
+    rig, near = blocked(make_rig(tmp_path)), pose("stand", "op3") + 0.1
 
     def phases(session):
         return [GainRamp(1.0), HoldPose(near, 1.0, duration=0.5), Move(near, start=lambda: session.issued)]

@@ -70,7 +70,7 @@ def test_models_are_compared_on_the_other_mounts(logs):
 def test_logs_in_which_nothing_moves_are_told_so():
     """A robot that stands still on its stand gets a sentence on what to record, and no finding."""
     model = load_model("paper")
-    still = simulate_motion(model, chirp({"l_knee": 1e-4}, duration=4.0), mount="stand")
+    still = simulate_motion(model, chirp({"l_knee": 1e-4}, duration=4.0, robot="op3"), mount="stand")
     part = LogSplit((still,), (still,))
     verdict = Diagnosis(model, part).run()
     assert not verdict.findings

@@ -119,7 +119,7 @@ def test_rotors_that_hardly_differ_leave_torques_as_open():
 def test_a_limb_that_moves_alone_is_simulated_alone():
     """Of a robot of several limbs, with values joint by joint."""
     model = with_chain(load_model("paper"))
-    log = simulate_motion(model, chirp({"l_knee": 0.3}, duration=3.0), mount="stand")
+    log = simulate_motion(model, chirp({"l_knee": 0.3}, duration=3.0, robot="op3"), mount="stand")
     engine = WindowResiduals([log], windows=4)
     reduction = Reduction(engine)
     (error,) = reduction.errors(model, model.tensors(engine.joints), 1)

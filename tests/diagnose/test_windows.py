@@ -155,7 +155,7 @@ def test_a_velocity_that_was_set_aside_is_not_compared():
 
 def test_too_few_readings_for_a_window_are_refused():
     """At 10 Hz a window of 0.2 s has two: the sentence says how many it takes."""
-    log = simulate_motion(load_model("paper"), chirp({"l_knee": 0.3}, duration=3.0), mount="stand")
+    log = simulate_motion(load_model("paper"), chirp({"l_knee": 0.3}, duration=3.0, robot="op3"), mount="stand")
     rows = slice(0, log.rows, 12)
     slow = Rollout.from_arrays({key: log.array(key)[rows] for key in log.channels}, log.metadata)
     with pytest.raises(LogError, match=r"2 readings in 0.19 s are too few for a window.* record 4"):

@@ -40,7 +40,7 @@ def log():
 
 def known(log) -> dict:
     """What a reader of the pages has at hand."""
-    joints, still = load_robot().joints, np.zeros((2, 20))
+    joints, still = load_robot("op3").joints, np.zeros((2, 20))
     return {
         "model": load_model("paper"), "joints": joints, "num_sims": 2, "Servos": Servos, "other": log,
         "observation": torch.zeros(4, 124), "target": torch.zeros(2, 20), "position": still, "velocity": still,

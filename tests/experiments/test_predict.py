@@ -26,7 +26,7 @@ def predict(*arguments: str) -> CompletedProcess[str]:
 def logs(tmp_path_factory) -> Path:
     """Two logs of the robot, one of them held still."""
     folder = tmp_path_factory.mktemp("logs")
-    for motion in (squat(frequency=1.0, duration=0.4), hold(pose("stand"), 0.4)):
+    for motion in (squat(frequency=1.0, duration=0.4), hold(pose("stand", "op3"), 0.4, robot="op3")):
         simulate_motion(load_model("paper"), motion).save(folder / motion.name)
     return folder
 

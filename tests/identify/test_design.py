@@ -66,9 +66,9 @@ def test_moving_tells_friction_and_standing_still_does_not():
     bounds = {"viscous_friction": (0.0, 0.5), "coulomb_friction": (0.0, 0.3)}
     model = load_model("paper")
     motions = [
-        hold(pose("stand"), 0.8),
-        triangle({"l_knee": 0.1}, speed=0.5, cycles=1),
-        chirp({"l_knee": 0.2}, low=1.0, high=3.0, duration=1.0),
+        hold(pose("stand", "op3"), 0.8, robot="op3"),
+        triangle({"l_knee": 0.1}, speed=0.5, cycles=1, robot="op3"),
+        chirp({"l_knee": 0.2}, low=1.0, high=3.0, duration=1.0, robot="op3"),
     ]
     told = [information(model, motion, "stand", bounds, joints=CONTROLLED_JOINTS)[0, 0] for motion in motions]
     assert told[0] < 0.1 * told[1] < told[2]

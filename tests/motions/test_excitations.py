@@ -52,8 +52,8 @@ def test_every_motion_of_the_library_is_safe(name):
 
 def test_a_chirp_sweeps_from_low_to_high():
     """Zero crossings per second grow from twice the low to twice the high frequency; other joints do not move."""
-    motion = chirp({"l_knee": 0.3}, low=0.5, high=4.0, duration=10.0, speed=10.0)
-    angle = motion.position[:, KNEE] - pose("stand")[KNEE]
+    motion = chirp({"l_knee": 0.3}, low=0.5, high=4.0, duration=10.0, speed=10.0, robot="op3")
+    angle = motion.position[:, KNEE] - pose("stand", "op3")[KNEE]
     # exponential sweep: f(t) = 0.5 * 8^(t/10); in the first second about 0.5 cycles, from 8 to 9 s about 2.9
     crossings = np.flatnonzero(np.diff(np.sign(angle[1:-1]))) / 125
     assert np.sum((crossings > 0.2) & (crossings < 2.2)) in (2, 3)
@@ -64,9 +64,9 @@ def test_a_chirp_sweeps_from_low_to_high():
 
 def test_a_triangle_moves_at_constant_speed():
     """Nine tenths of a slow triangle pass at the speed asked for, the same in both directions."""
-    motion = triangle({"l_knee": 0.4, "r_knee": -0.2}, speed=0.2, acceleration=2.0, cycles=1)
+    motion = triangle({"l_knee": 0.4, "r_knee": -0.2}, speed=0.2, acceleration=2.0, cycles=1, robot="op3")
     knees = indices(["l_knee", "r_knee"])
-    left, right = motion.position[:, knees].T - pose("stand")[knees][:, None]
+    left, right = motion.position[:, knees].T - pose("stand", "op3")[knees][:, None]
     speed = np.diff(left) * 125
     at_speed = np.abs(np.abs(speed) - 0.2) < 1e-3
     assert at_speed.mean() > 0.9
@@ -78,18 +78,18 @@ def test_a_triangle_moves_at_constant_speed():
 def test_multisine_lines_are_distinct():
     """In the spectrum no two joints share a line, so their effects can be told apart."""
     joints = {"l_knee": 0.3, "l_hip_pitch": 0.2, "l_ank_pitch": 0.3}
-    motion = multisine(joints, duration=20.0, lines=4)
+    motion = multisine(joints, duration=20.0, lines=4, robot="op3")
     # the fade spreads each line a little: the strongest lines are compared
-    spectra = np.abs(np.fft.rfft(motion.position[:, indices(joints)] - pose("stand")[indices(joints)], axis=0))
+    spectra = np.abs(np.fft.rfft(motion.position[:, indices(joints)] - pose("stand", "op3")[indices(joints)], axis=0))
     strongest = [set(np.argsort(spectrum)[-2:]) for spectrum in spectra.T]
     assert len(set.union(*strongest)) == 6
-    assert np.abs(motion.position[:, KNEE] - pose("stand")[KNEE]).max() == pytest.approx(0.3)
+    assert np.abs(motion.position[:, KNEE] - pose("stand", "op3")[KNEE]).max() == pytest.approx(0.3)
 
 
 def test_staircase_reaches_a_level_from_both_sides():
     """The knee rests at half its amplitude on the way up and on the way down."""
-    motion = staircase({"l_knee": 0.4}, levels=(0.5, 1.0, 0.5), ramp=0.4, rest=0.8)
-    angle = motion.position[:, KNEE] - pose("stand")[KNEE]
+    motion = staircase({"l_knee": 0.4}, levels=(0.5, 1.0, 0.5), ramp=0.4, rest=0.8, robot="op3")
+    angle = motion.position[:, KNEE] - pose("stand", "op3")[KNEE]
     resting = np.isclose(angle, 0.2, atol=1e-12)
     assert np.sum(np.diff(resting.astype(int)) == 1) == 2
 
@@ -98,7 +98,7 @@ def test_push_down_and_sway_keep_the_soles_level():
     """On the floor the soles stay level, so the robot stands on them throughout."""
     for motion, lean in ((push_down(), SQUAT_LEAN), (sway(), 0.0)):
         for position in motion.position[::60]:
-            normals = sole_normals(position) @ rotation_matrix(0.0, lean).T
+            normals = sole_normals(position, "op3") @ rotation_matrix(0.0, lean).T
             np.testing.assert_allclose(normals[0], normals[1], atol=1e-9)
             # "stand" is level to the digits of its source
             assert np.arccos(np.clip(normals[0, 2], -1, 1)) < 1e-3
@@ -116,10 +116,14 @@ def test_soften_lowers_the_gain_and_raises_it_again():
 @pytest.mark.parametrize(
     ("motion", "mount", "message"),
     [
-        (hold(pose("stand") + 3.0 * (np.arange(20) == 11), 1.0), None, r"asks l_knee for 4.131 rad"),
-        (triangle({"l_knee": 0.8}, speed=6.0, acceleration=100.0), "stand", r"moves l_knee at 6.00 rad/s"),
-        (triangle({"l_hip_roll": 0.3}, cycles=1), "stand", r"brings \w+ within .* mm of \w+"),
-        (chirp({"l_knee": 0.1}), "floor", r"not for the floor; choose mount=stand"),
+        (
+            hold(pose("stand", "op3") + 3.0 * (np.arange(20) == 11), 1.0, robot="op3"),
+            None,
+            r"asks l_knee for 4.131 rad",
+        ),
+        (triangle({"l_knee": 0.8}, speed=6.0, acceleration=100.0, robot="op3"), "stand", r"moves l_knee at 6.00 rad/s"),
+        (triangle({"l_hip_roll": 0.3}, cycles=1, robot="op3"), "stand", r"brings \w+ within .* mm of \w+"),
+        (chirp({"l_knee": 0.1}, robot="op3"), "floor", r"not for the floor; choose mount=stand"),
     ],
 )
 def test_unsafe_motions_are_refused(motion, mount, message):
@@ -131,4 +135,4 @@ def test_unsafe_motions_are_refused(motion, mount, message):
 def test_a_gain_of_the_wrong_length_is_refused():
     """One gain, or one per row."""
     with pytest.raises(ValueError, match="one per row"):
-        Motion(np.arange(3.0), np.zeros((3, 20)), p_gain=np.ones(2))
+        Motion(np.arange(3.0), np.zeros((3, 20)), p_gain=np.ones(2), robot="op3")

@@ -39,10 +39,10 @@ def test_squat_is_flat_and_balanced(motion):
     """The soles are level within 1e-6 rad and the centre of mass stays within 2 cm of the soles' middle."""
     world = rotation_matrix(0.0, SQUAT_LEAN)
     for position in motion.position[:126:5]:
-        normals = sole_normals(position) @ world.T
+        normals = sole_normals(position, "op3") @ world.T
         tilt = np.arctan2(np.linalg.norm(normals[:, :2], axis=1), normals[:, 2])
         assert tilt.max() < 1e-6
-        corners = sole_corners(position) @ world.T
+        corners = sole_corners(position, "op3") @ world.T
         com = world @ center_of_mass(position)
         assert np.ptp(corners[..., 2].min(axis=1)) < 1e-9
         assert abs(com[0] - corners[..., 0].mean()) < 0.02
@@ -70,15 +70,15 @@ def test_squat_arguments():
 def test_what_is_no_motion(time, position, joints, message):
     """Arrays that cannot be a motion are refused with the reason."""
     with pytest.raises(ValueError, match=message):
-        Motion(np.array(time), np.array(position), joints)
+        Motion(np.array(time), np.array(position), joints, robot="op3")
 
 
 def test_bad_arguments():
     """Wrong shapes and durations are refused with the offending value."""
     with pytest.raises(ValueError, match=r"\(2, 20\), got \(3, 20\)"):
-        Motion(np.arange(2.0), np.zeros((3, 20)))
+        Motion(np.arange(2.0), np.zeros((3, 20)), robot="op3")
     with pytest.raises(ValueError, match="must be positive"):
-        hold(pose("stand"), duration=0.0)
+        hold(pose("stand", "op3"), duration=0.0, robot="op3")
 
 
 def test_minimum_jerk():

@@ -25,8 +25,8 @@ def test_inverse_is_inverse(x, y, z):
     position = np.zeros(20)
     for name, angle in leg_angles(np.array([x, y, z])).items():
         position[indices([f"l_{name}"])] = angle
-    np.testing.assert_allclose(sole_normals(position)[0], [0.0, 0.0, 1.0], atol=1e-9)
-    np.testing.assert_allclose(key_points(position)[0], HIP + np.array([x, y, z]) + SOLE, atol=2e-6)
+    np.testing.assert_allclose(sole_normals(position, "op3")[0], [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(key_points(position, "op3")[0], HIP + np.array([x, y, z]) + SOLE, atol=2e-6)
 
 
 def test_out_of_reach():

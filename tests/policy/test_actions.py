@@ -21,7 +21,7 @@ ACTIONS = hnp.arrays(np.float64, (3, 20), elements=st.floats(-1, 1))
 def test_zero_is_the_stand_pose_in_the_middle_of_the_gains():
     """Action 0 targets the stand pose with the mean gain of (0.1 + 6) / 2 = 3.05 A/rad."""
     position, gain = MAP.targets(np.zeros(20))
-    np.testing.assert_allclose(position, pose("stand")[indices(CONTROLLED_JOINTS)], atol=1e-12)
+    np.testing.assert_allclose(position, pose("stand", "op3")[indices(CONTROLLED_JOINTS)], atol=1e-12)
     np.testing.assert_allclose(gain, 3.05)
 
 
@@ -64,7 +64,7 @@ def test_wide_spans_are_clipped_to_the_soft_limits():
     knee = wide.joints.index("l_knee")
     assert wide.position_high[knee] == SOFT_LIMITS["l_knee"][1]
     position, gain = wide.targets(wide.stand())
-    np.testing.assert_allclose(position, pose("stand")[indices(CONTROLLED_JOINTS)], atol=1e-12)
+    np.testing.assert_allclose(position, pose("stand", "op3")[indices(CONTROLLED_JOINTS)], atol=1e-12)
     assert np.all(gain == 6.0)
 
 
@@ -113,7 +113,7 @@ def test_commands_of_all_joints():
     held = np.setdiff1d(np.arange(len(JOINTS)), places)
     np.testing.assert_array_equal(position[:, places], action_map.targets(action)[0])
     np.testing.assert_array_equal(gain[:, places], action_map.targets(action)[1])
-    np.testing.assert_array_equal(position[:, held], np.tile(pose("stand")[held], (3, 1)))
+    np.testing.assert_array_equal(position[:, held], np.tile(pose("stand", "op3")[held], (3, 1)))
     assert (gain[:, held] == HELD_GAIN).all()
     assert (found["d_gain"] == action_map.d_gain).all()
     for name, values in action_map.commands(torch.from_numpy(action)).items():

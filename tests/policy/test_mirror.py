@@ -33,10 +33,10 @@ def test_observations_agree_with_kinematics():
     def observe(*values: torch.Tensor) -> torch.Tensor:
         position, velocity, attitude, rates, action, phase, asked = values
         now = Sensed(position, velocity, action, attitude, rates, phase, {"velocity": asked})
-        return Observer(terms, load_robot(), 0, now).reset(now)
+        return Observer(terms, load_robot("op3"), 0, now).reset(now)
 
     example = Sensed(q[:1], v[:1], action[:1], attitude[:1], rates[:1], phase[:1], {"velocity": asked[:1]})
-    observer = Observer(terms, load_robot(), 0, example)
+    observer = Observer(terms, load_robot("op3"), 0, example)
     one = Mirror(observer, example, WALK.action_map(), {"velocity": (1.0, -1.0, -1.0)})
     axial = torch.tensor([-1.0, 1.0, -1.0])
     seen = observe(q, v, attitude, rates, action, phase, asked)

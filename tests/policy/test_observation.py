@@ -28,8 +28,10 @@ def test_key_points_are_mujocos(position, velocity):
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, model.site(name).id)
         expected.append(jacobian @ velocity)
-    points, speeds = leg_kinematics(load_robot()).key_points(torch.from_numpy(position), torch.from_numpy(velocity))
-    np.testing.assert_allclose(points.numpy(), key_points(position), atol=1e-12)
+    points, speeds = leg_kinematics(load_robot("op3")).key_points(
+        torch.from_numpy(position), torch.from_numpy(velocity)
+    )
+    np.testing.assert_allclose(points.numpy(), key_points(position, "op3"), atol=1e-12)
     np.testing.assert_allclose(speeds.numpy(), expected, atol=1e-12)
 
 
@@ -37,8 +39,8 @@ def test_key_points_are_batched():
     """Rows of a batch are what each row gives alone."""
     generator = torch.Generator().manual_seed(0)
     position, velocity = torch.randn(2, 5, 7, 20, generator=generator, dtype=torch.float64)
-    together = leg_kinematics(load_robot()).key_points(position, velocity)
-    alone = leg_kinematics(load_robot()).key_points(position[3, 4], velocity[3, 4])
+    together = leg_kinematics(load_robot("op3")).key_points(position, velocity)
+    alone = leg_kinematics(load_robot("op3")).key_points(position[3, 4], velocity[3, 4])
     assert together[0].shape == (5, 7, 6, 3)
     for many, one in zip(together, alone, strict=True):
         torch.testing.assert_close(many[3, 4], one, rtol=0, atol=1e-14)
@@ -52,7 +54,7 @@ def sensed(values: torch.Tensor, **others) -> Sensed:
 
 def observer(terms: dict, history: int = 0) -> Observer:
     """Of terms of the OP3."""
-    return Observer(terms, load_robot(), history, sensed(torch.zeros(1), phase=torch.zeros(1)))
+    return Observer(terms, load_robot("op3"), history, sensed(torch.zeros(1), phase=torch.zeros(1)))
 
 
 ACTION = {"previous_action": {}}

@@ -22,6 +22,6 @@ def test_a_fall_is_noticed():
     names = list(lean.joints)
     for side, sign in (("l", 1.0), ("r", -1.0)):
         position[:, names.index(f"{side}_ank_pitch")] += sign * np.linspace(0.0, 0.7, len(position))
-    log = simulate_motion(load_model("paper"), Motion(lean.time, position, lean.joints, "lean"), "floor")
+    log = simulate_motion(load_model("paper"), Motion(lean.time, position, lean.joints, "lean", robot="op3"), "floor")
     assert log.metadata.fallen == (np.abs(log.array("imu/orientation")[:, :2]).max() > np.deg2rad(45))
     assert log.metadata.fallen is True

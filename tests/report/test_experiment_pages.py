@@ -92,7 +92,7 @@ def test_a_training_ends_with_its_best_policy(tmp_path):
 @pytest.mark.parametrize("walks", [True, False])
 def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
     """Success, margin and speed where they are known; the gait's figure for walking."""
-    log = squat_log(joints=tuple(leg[place] for leg in load_robot().legs for place in (-2, -1)))
+    log = squat_log(joints=tuple(leg[place] for leg in load_robot("op3").legs for place in (-2, -1)))
     numbers = {"evaluation.upright": 0.5, "evaluation.success": 0.5, "evaluation.return_mean": 200.0}
     numbers |= {"evaluation.return_std": 3.0, "evaluation.tilt": np.pi / 180}
     if walks:

@@ -15,7 +15,7 @@ from op3.scenes import build_scene
 @pytest.fixture(scope="module")
 def scene():
     built = build_scene("floor")
-    return built, np.stack([built.initial_qpos(pose(name)) for name in ("stand", "squat_low")])
+    return built, np.stack([built.initial_qpos(pose(name, "op3")) for name in ("stand", "squat_low")])
 
 
 def test_states_are_drawn_one_by_one(scene):

@@ -18,8 +18,8 @@ MIRRORED = np.array([1.0, -1.0, 1.0])
 @given(joint_positions)
 def test_mirrored_angles_give_mirrored_feet(position):
     """Reflecting the joint angles reflects the feet: left and right change places, y changes sign."""
-    left, right = np.split(key_points(position), 2)
-    mirrored_left, mirrored_right = np.split(key_points(mirror(position)), 2)
+    left, right = np.split(key_points(position, "op3"), 2)
+    mirrored_left, mirrored_right = np.split(key_points(mirror(position), "op3"), 2)
     np.testing.assert_allclose(mirrored_left, right * MIRRORED, atol=1e-9)
     np.testing.assert_allclose(mirrored_right, left * MIRRORED, atol=1e-9)
 
@@ -38,8 +38,8 @@ def test_rotation_is_yaw_after_pitch_after_roll(roll, pitch, yaw):
 
 def test_key_points_are_corners_of_the_soles():
     """In the zero pose key points lie on the underside of the soles, at the toe and heel edges."""
-    points = dict(zip(KEY_POINTS, key_points(np.zeros(20)), strict=True))
-    corners = sole_corners(np.zeros(20))
+    points = dict(zip(KEY_POINTS, key_points(np.zeros(20), "op3"), strict=True))
+    corners = sole_corners(np.zeros(20), "op3")
     for side, feet in (("l", corners[:2]), ("r", corners[2:])):
         inner, outer, heel = (points[f"{side}_sole_{name}"] for name in ("inner_tip", "outer_tip", "heel"))
         assert inner[2] == outer[2] == heel[2] == pytest.approx(feet[..., 2].min())
@@ -50,10 +50,10 @@ def test_key_points_are_corners_of_the_soles():
 
 def test_straight_leg_adds_up():
     """The sole is the sum of the leg's lengths below the trunk: 28.5 + 110.15 + 110 + 30.5 mm."""
-    assert sole_corners(np.zeros(20))[..., 2].min() == pytest.approx(-0.27915, abs=1e-9)
+    assert sole_corners(np.zeros(20), "op3")[..., 2].min() == pytest.approx(-0.27915, abs=1e-9)
 
 
 def test_wrong_shape():
     """A vector of the wrong length is refused with both shapes."""
     with pytest.raises(ValueError, match=r"shape \(20,\), got \(19,\)"):
-        key_points(np.zeros(19))
+        key_points(np.zeros(19), "op3")

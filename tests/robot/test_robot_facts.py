@@ -98,15 +98,15 @@ def test_soles(facts, model):
 def test_stand_pose(facts):
     """The pose "stand" is the published one with bent knees, arms included."""
     expected = [joint["playground_stand_bent_knees_rad"] for joint in facts["joints"]]
-    np.testing.assert_allclose(pose("stand"), expected, atol=1e-6)
+    np.testing.assert_allclose(pose("stand", "op3"), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "published"), [("zero", "zero_pose"), ("stand", "stand_bent_knees")])
 def test_heights(facts, name, published):
     """Trunk and centre of mass of a standing robot are where the published model has them."""
     expected = facts["standing"][published]
-    height = standing_height(pose(name))
-    com = center_of_mass(pose(name))
+    height = standing_height(pose(name, "op3"), "op3")
+    com = center_of_mass(pose(name, "op3"))
     assert height == pytest.approx(expected["trunk_origin_height"], abs=1e-3)
     assert height + com[2] == pytest.approx(expected["com_height"], abs=1e-3)
     assert com[0] == pytest.approx(expected["com_x_rel_trunk"], abs=1e-3)
@@ -117,7 +117,7 @@ def test_ini_pose_height(facts):
     """A third pose, ROBOTIS' deep squat, stands at its published height too."""
     position = np.radians([joint["robotis_ini_pose_deg"] for joint in facts["joints"]])
     expected = facts["standing"]["robotis_ini_pose"]
-    height = standing_height(position)
+    height = standing_height(position, "op3")
     assert height == pytest.approx(expected["trunk_origin_height"], abs=1e-3)
     assert height + center_of_mass(position)[2] == pytest.approx(expected["com_height"], abs=1e-3)
 
@@ -131,5 +131,5 @@ def test_head_is_as_tall_as_the_robot(facts, model):
         i for i in range(model.ngeom) if model.geom_bodyid[i] == head and np.allclose(model.geom_quat[i], [1, 0, 0, 0])
     ]
     top = max(data.geom_xpos[i, 2] + model.geom_aabb[i, 2] + model.geom_aabb[i, 5] for i in upright)
-    height = top - data.body("body_link").xpos[2] + standing_height(pose("zero"))
+    height = top - data.body("body_link").xpos[2] + standing_height(pose("zero", "op3"), "op3")
     assert height == pytest.approx(facts["standing"]["zero_pose"]["overall_height"], abs=1e-3)

@@ -61,7 +61,7 @@ def test_the_box_of_the_head_would_touch_the_trunk(distances):
     head, trunk = (distances.model.geom(f"op3/{name}").id for name in ("head", "trunk"))
     deepest = 0.0
     for angle in np.linspace(*OP3.limits[tilt], 50):
-        position = pose("stand")
+        position = pose("stand", "op3")
         position[tilt] = angle
         distances.least(position, distances.pairs[:1])
         deepest = min(deepest, distances.between(head, trunk))
@@ -71,13 +71,13 @@ def test_the_box_of_the_head_would_touch_the_trunk(distances):
 
 def test_friction_between_parts_is_their_own(distances):
     """0.3 between two parts, and between a sole and the floor that of the floor."""
-    crossed = pose("stand")
+    crossed = pose("stand", "op3")
     crossed[LEFT] = 0.3
     between_parts = in_the_air(distances, crossed).contact.friction[:, 0]
     assert len(between_parts) > 0
     assert (between_parts == 0.3).all()
     data = mujoco.MjData(distances.model)
-    data.qpos[:] = build_scene("floor").initial_qpos(pose("stand"))
+    data.qpos[:] = build_scene("floor").initial_qpos(pose("stand", "op3"))
     data.qpos[2] -= 1e-4
     mujoco.mj_forward(distances.model, data)
     assert data.ncon > 0
@@ -91,7 +91,7 @@ def pressed(distances: PartDistances, collide: bool) -> np.ndarray:
     model.dof_armature[6:], model.dof_damping[6:] = ARMATURE, 0.1
     if not collide:
         model.geom_contype[model.geom_bodyid > 0] = 0
-    data, held = mujoco.MjData(model), pose("stand")
+    data, held = mujoco.MjData(model), pose("stand", "op3")
     data.qpos[2], data.qpos[7:27] = 2.0, held
     gaps = []
     for _ in range(1000):
@@ -120,7 +120,7 @@ def test_legs_pressed_with_stall_torque_stay_outside_each_other(distances):
 )
 def test_legs_of_an_emulated_robot_stop_each_other(distances, make: Callable[[], Physics]):
     """On the floor, driven inwards at stall current for 0.5 s, they meet and enter each other by less than 1 mm."""
-    physics, held, gaps = make(), load_robot().home, []
+    physics, held, gaps = make(), load_robot("op3").home, []
     for _ in range(500):
         now = physics.read()
         current = np.clip(6.0 * (held - now.position) - 0.1 * now.velocity, -STALL_CURRENT, STALL_CURRENT)

@@ -56,7 +56,7 @@ def test_board_is_driven():
     scene = build_scene("board")
     model = scene.compile()
     data = mujoco.MjData(model)
-    data.qpos[:] = scene.initial_qpos(pose("stand"))
+    data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
     drive, motion = BoardDrive(model, PERIOD), Waves.draw(5)
     for tick in range(250):
         drive.apply(motion, tick * PERIOD, data.qpos, data.qvel, data.qfrc_applied)
@@ -73,7 +73,7 @@ def test_weight_tips_the_board():
     scene = build_scene("board_weight")
     model = scene.compile()
     data = mujoco.MjData(model)
-    data.qpos[:] = scene.initial_qpos(pose("stand"))
+    data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
     data.qpos[0] = 3.0  # the robot falls beside the board
     data.qpos[27] = 0.5 * TILT
     drive, schedule = WeightDrive(model), WeightSchedule(np.array(1.0))
@@ -97,7 +97,7 @@ def test_robot_starts_on_the_tilted_board():
     scene = build_scene("board_weight")
     model = scene.compile()
     data = mujoco.MjData(model)
-    data.qpos[:] = scene.initial_qpos(pose("stand"))
+    data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
     data.qpos[2] -= 1e-5
     mujoco.mj_forward(model, data)
     top = model.geom("board/top").id

@@ -66,7 +66,7 @@ def test_nothing_moves_otherwise_without_geoms_for_pictures(floor):
     for visual in (True, False):
         model = floor.compile(visual)
         data = mujoco.MjData(model)
-        data.qpos[:] = floor.initial_qpos(pose("stand"), roll=0.4)
+        data.qpos[:] = floor.initial_qpos(pose("stand", "op3"), roll=0.4)
         mujoco.mj_step(model, data, 400)
         ends.append((data.qpos.copy(), data.ncon, model.ngeom))
     assert np.array_equal(ends[0][0], ends[1][0])
@@ -77,7 +77,7 @@ def test_nothing_moves_otherwise_without_geoms_for_pictures(floor):
 @pytest.mark.parametrize(("name", "lean"), [("zero", 0.0), ("stand", 0.0), ("squat_low", SQUAT_LEAN)])
 def test_initial_state_touches_the_floor(floor, name, lean):
     """A free robot starts with all four sole boxes on the floor and no penetration."""
-    model, data = start(floor, pose(name), 0.0, lean)
+    model, data = start(floor, pose(name, "op3"), 0.0, lean)
     data.qpos[2] -= 1e-5
     mujoco.mj_forward(model, data)
     touching = {model.geom(contact.geom[1]).name for contact in data.contact}
@@ -89,7 +89,7 @@ def test_initial_state_touches_the_floor(floor, name, lean):
 def test_reference_pose_stands(floor):
     """The model's own reference pose is the zero pose on the floor, so a fresh MjData is usable."""
     model = floor.compile()
-    np.testing.assert_allclose(model.qpos0, floor.initial_qpos(pose("zero")), atol=1e-12)
+    np.testing.assert_allclose(model.qpos0, floor.initial_qpos(pose("zero", "op3")), atol=1e-12)
 
 
 @settings(max_examples=60, deadline=None)
@@ -105,7 +105,7 @@ def test_nothing_touches_the_stand(stand_model, position):
 
 def test_stand_tilts():
     """The stand's tilt is the trunk's orientation, and its height stays."""
-    model, data = start(build_scene("stand", tilt_roll=0.3, tilt_pitch=-0.2), pose("zero"))
+    model, data = start(build_scene("stand", tilt_roll=0.3, tilt_pitch=-0.2), pose("zero", "op3"))
     trunk = data.body("op3/body_link")
     np.testing.assert_allclose(trunk.xmat.reshape(3, 3), rotation_matrix(0.3, -0.2), atol=1e-12)
     np.testing.assert_allclose(trunk.xpos, [0.0, 0.0, 0.5], atol=1e-12)
@@ -127,14 +127,14 @@ def test_wrong_tilts(floor):
     with pytest.raises(ValueError, match="only the scene 'stand' can be tilted"):
         build_scene("floor", tilt_roll=0.1)
     with pytest.raises(ValueError, match="tilt the stand with build_scene"):
-        build_scene("stand").initial_qpos(pose("zero"), roll=0.1)
+        build_scene("stand").initial_qpos(pose("zero", "op3"), roll=0.1)
     with pytest.raises(ValueError, match=r"shape \(20,\), got \(3,\)"):
         floor.initial_qpos(np.zeros(3))
 
 
 def test_fall_ends_on_the_floor(floor):
     """A limp robot collapses onto the floor, stays above it, and its parts stay within 2 mm outside each other."""
-    model, data = start(floor, pose("stand"), 0.0, 0.3)
+    model, data = start(floor, pose("stand", "op3"), 0.0, 0.3)
     # Frictionless hinges flail against their stops; what a servo has of friction and inertia calms them.
     model.dof_damping[6:], model.dof_armature[6:] = 0.05, 0.01
     deepest = 0.0

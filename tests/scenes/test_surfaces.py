@@ -45,7 +45,7 @@ def test_lowered_tiles_are_met(seed):
         data, rng = mujoco.MjData(model), np.random.default_rng(seed)
         contacts = []
         for _ in range(20):
-            data.qpos[:] = scene.initial_qpos(pose("stand"))
+            data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
             data.qpos[:2] = rng.uniform((0.3, -0.2), (3.0, 0.2))
             data.qpos[2] += rng.uniform(-0.002, 0.01)
             mujoco.mj_forward(model, data)

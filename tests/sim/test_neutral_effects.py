@@ -26,7 +26,7 @@ VOLTAGE_DRIVEN = {"position_servo", "minimum_duty"}
 BASE = (CurrentPD(), Latency(), Motor(), DirectionalEfficiency(), Coulomb(), Stribeck(), Viscous())
 
 
-FLOOR = Setup.of_mount("floor")
+FLOOR = Setup.of_mount("floor", robot="op3")
 
 
 def without(name: str) -> RobotModel:

@@ -13,21 +13,21 @@ COMMANDS = {"p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
 
 
 def simulation(num_sims: int, model: RobotModel | None = None) -> tuple[BatchSimulation, np.ndarray]:
-    setup = Setup.of_mount("floor")
+    setup = Setup.of_mount("floor", robot="op3")
     model = model or load_model("paper")
     made = BatchSimulation(setup.mj_model, setup.scene.joint_names, model, num_sims, base_body=setup.base_body)
-    return made, setup.scene.initial_qpos(pose("stand"))
+    return made, setup.scene.initial_qpos(pose("stand", "op3"))
 
 
 def start(made: BatchSimulation, qpos: np.ndarray) -> None:
-    made.reset(qpos, {"position_target": torch.from_numpy(pose("stand")), **COMMANDS}, 0.0)
+    made.reset(qpos, {"position_target": torch.from_numpy(pose("stand", "op3")), **COMMANDS}, 0.0)
 
 
 def swing(made: BatchSimulation, ticks: int, first: int = 0) -> torch.Tensor:
     """Knees and hips follow a sine; the state after every tick, [tick, sim, state]."""
     states = []
     for tick in range(first, first + ticks):
-        target = torch.from_numpy(pose("stand")) + 0.2 * np.sin(0.2 * tick)
+        target = torch.from_numpy(pose("stand", "op3")) + 0.2 * np.sin(0.2 * tick)
         made.command(position_target=target)
         made.advance()
         states.append(torch.from_numpy(made.batch.state.copy()))
@@ -61,9 +61,9 @@ def test_rows_start_as_in_a_new_simulation(model):
     (partly, qpos), (wholly, _) = simulation(2, model), simulation(2, model)
     start(partly, qpos)
     swing(partly, 7)
-    commands = {"position_target": torch.from_numpy(pose("stand"))[None], **COMMANDS}
+    commands = {"position_target": torch.from_numpy(pose("stand", "op3"))[None], **COMMANDS}
     partly.reset(qpos[None], commands, np.full((1, 26), 0.01), rows=np.array([0]))
-    wholly.reset(qpos, {"position_target": torch.from_numpy(pose("stand")), **COMMANDS}, 0.01)
+    wholly.reset(qpos, {"position_target": torch.from_numpy(pose("stand", "op3")), **COMMANDS}, 0.01)
     for made in (partly, wholly):
         made.command(**COMMANDS)
     # the state's first number is time, which counts from the reset in both

@@ -9,7 +9,7 @@ from op3.sim.held_base import fixed_base
 
 def test_a_turning_base_asks_for_what_accelerates_every_body():
     """The torques are those of all bodies one by one: their masses pulled along, their inertias turned."""
-    held = fixed_base(tuple(load_robot("op3").joints), (0.1, -0.2))
+    held = fixed_base(tuple(load_robot("op3").joints), "op3", (0.1, -0.2))
     position = np.random.default_rng(0).normal(0.0, 0.4, (2, len(held.joints)))
     found = held.along(held.mj_model, position, np.zeros_like(position)).carried
     model, data = held.mj_model, mujoco.MjData(held.mj_model)

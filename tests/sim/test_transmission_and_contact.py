@@ -307,7 +307,7 @@ def test_a_tilted_ground_is_a_tilted_stand():
         ((roll, pitch), (), {}),
         ((0.0, 0.0), (GroundTilt(),), {"ground_roll": roll, "ground_pitch": pitch}),
     ):
-        setup = Setup.of_mount("stand", tilt=tilt)
+        setup = Setup.of_mount("stand", tilt=tilt, robot="op3")
         model = RobotModel((CurrentPD(), Motor(), *effects)).with_values({**MOTOR, **values})
         sim = BatchSimulation(setup.mj_model, setup.scene.joint_names, model, 1, base_body=setup.base_body)
         start = torch.full((20,), 0.1, dtype=torch.float64)
@@ -321,7 +321,7 @@ def test_a_tilted_ground_is_a_tilted_stand():
 
 def on_floor(num_sims: int, *effects: Effect, **values: torch.Tensor | float) -> BatchSimulation:
     """OP3s on the floor that have stood for 0.8 s."""
-    setup = Setup.of_mount("floor")
+    setup = Setup.of_mount("floor", robot="op3")
     model = RobotModel((CurrentPD(), Motor(), Coulomb(), *effects)).with_values(MOTOR)
     sim = BatchSimulation(setup.mj_model, setup.scene.joint_names, model, num_sims, base_body=setup.base_body)
     sim.set_parameters(values)

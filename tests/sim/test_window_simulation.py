@@ -34,10 +34,10 @@ TICKS = 120
 @pytest.fixture(scope="module")
 def recorded():
     """A leg on the stand that follows three sines, as MuJoCo simulates it: setup, model, motion."""
-    setup, model = Setup.of_mount("stand"), load_model("paper")
+    setup, model = Setup.of_mount("stand", robot="op3"), load_model("paper")
     time = np.arange(TICKS) * PERIOD
     columns = [JOINTS.index(joint) for joint in LEG]
-    target = np.tile(pose("stand"), (TICKS, 1))
+    target = np.tile(pose("stand", "op3"), (TICKS, 1))
     for k, column in enumerate(columns):
         target[:, column] += 0.2 * np.sin(2 * np.pi * (0.7 + 0.3 * k) * time)
     target[:, JOINTS.index("r_hip_roll")] += 0.2  # away from the other leg

@@ -42,7 +42,7 @@ def test_the_models_weigh_alike():
 def test_a_passive_swing_agrees_with_mujoco():
     """Twenty free joints let go 0.3 rad from the pose agree for a quarter of a second to 0.1 mrad."""
     robot = StandIn(FREE, "stand")
-    start = pose("stand") + 0.3
+    start = pose("stand", "op3") + 0.3
     robot.reset(start)
     model = robot.scene.compile()
     model.opt.timestep, model.opt.integrator = FREE.timestep, mujoco.mjtIntegrator.mjINT_EULER
@@ -61,7 +61,7 @@ def test_a_passive_swing_agrees_with_mujoco():
 def test_a_passive_swing_keeps_its_energy():
     """Twenty free joints lose less than 0.02 % of their energy in a second of large swings."""
     robot = StandIn(FREE, "stand")
-    robot.reset(pose("stand") + 0.3)
+    robot.reset(pose("stand", "op3") + 0.3)
     limbs = robot._bodies
     model, data, energies = limbs.model, limbs.data, []
     for _ in range(100):
@@ -96,7 +96,7 @@ def test_a_soft_stand_sways():
     swings = []
     for frequency in (0.0, 12.0):
         robot = StandIn(HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, mount_frequency=frequency), "stand")
-        robot.reset(pose("stand"))
+        robot.reset(pose("stand", "op3"))
         rates = []
         for tick in range(125):
             robot.write_current(np.full(20, 0.5 if tick < 25 else 0.0))

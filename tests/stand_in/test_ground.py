@@ -13,9 +13,9 @@ def test_board_follows_its_motion():
     robot = StandIn(HiddenWorld(), "board")
     motion = Tilts.draw(0)
     robot.set_ground(motion)
-    robot.reset(pose("stand"))
+    robot.reset(pose("stand", "op3"))
     for _ in range(225):
-        robot.write_current(6.0 * (pose("stand") - robot.read_sensors().position))
+        robot.write_current(6.0 * (pose("stand", "op3") - robot.read_sensors().position))
         robot.advance(0.008)
     angle, _ = motion.at(robot.time)
     np.testing.assert_allclose(robot._bodies.data.qpos[[28, 27]], angle, atol=1e-4)
@@ -26,7 +26,7 @@ def test_board_follows_its_motion():
 def test_time_counts_from_the_call():
     """A board that is set in motion later moves later."""
     robot, motion = StandIn(HiddenWorld(), "board"), Tilts.draw(0)
-    robot.reset(pose("stand"))
+    robot.reset(pose("stand", "op3"))
     robot.advance(0.3)
     robot.set_ground(motion)
     robot.advance(1.2)
@@ -38,7 +38,7 @@ def test_reset_puts_the_robot_on_the_board():
     """A robot on the board of the weight starts tilted with it."""
     robot = StandIn(HiddenWorld(), "board_weight")
     robot.set_ground(WeightSchedule.draw(0))
-    robot.reset(pose("stand"))
+    robot.reset(pose("stand", "op3"))
     assert robot.read_sensors().orientation[1] == pytest.approx(np.deg2rad(6.0), abs=2e-3)
 
 

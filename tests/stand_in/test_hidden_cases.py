@@ -47,15 +47,17 @@ def record(*hidden: Hidden, world: HiddenWorld = QUIET, robot: str = "op3") -> l
 
 def test_a_case_is_what_its_seed_says():
     """Equal seeds and wishes give equal answers, byte by byte; another seed another case."""
-    assert answer_bytes(draw_case(4, "pair", "strong")) == answer_bytes(draw_case(4, "pair", "strong"))
-    assert answer_bytes(draw_case(4, "pair", "strong")) != answer_bytes(draw_case(5, "pair", "strong"))
+    first, same, other = (answer_bytes(draw_case(seed, "pair", "strong", robot="op3")) for seed in (4, 4, 5))
+    assert first == same
+    assert first != other
 
 
 @pytest.fixture(scope="module")
 def drawn() -> dict[str, list[Case]]:
     """Twenty-five cases of every kind."""
     return {
-        kind: [draw_case(seed, kind, "strong") for seed in range(25)] for kind in ("single", "pair", "null", "outsider")
+        kind: [draw_case(seed, kind, "strong", robot="op3") for seed in range(25)]
+        for kind in ("single", "pair", "null", "outsider")
     }
 
 
@@ -96,7 +98,7 @@ def test_effects_sit_where_they_can(drawn):
 
 def test_sizes_follow_the_severity():
     """dte of 0.1 is the smallest that matters: mild is 0.9 to 1.1 times that, strong five times as much."""
-    cases = {severity: draw_case(7, "single", severity, "dte") for severity in SEVERITIES}
+    cases = {severity: draw_case(7, "single", severity, "dte", robot="op3") for severity in SEVERITIES}
     sizes = {severity: case.hidden[0].size for severity, case in cases.items()}
     assert 0.09 <= sizes["mild"] <= 0.11
     assert sizes["clear"] == pytest.approx(2.5 * sizes["mild"])
@@ -106,7 +108,7 @@ def test_sizes_follow_the_severity():
 
 def test_sealed_answers_open_only_unchanged(tmp_path):
     """The file lists the SHA-256 of each answer; a changed, added or missing answer is refused by name."""
-    paths = [write_answer(draw_case(seed), tmp_path) for seed in (1, 2)]
+    paths = [write_answer(draw_case(seed, robot="op3"), tmp_path) for seed in (1, 2)]
     commitment = seal(tmp_path).read_text()
     assert hashlib.sha256(paths[0].read_bytes()).hexdigest() + "  " + paths[0].name in commitment
     assert set(open_answers(tmp_path)) == {path.stem for path in paths}
@@ -118,7 +120,7 @@ def test_sealed_answers_open_only_unchanged(tmp_path):
     with pytest.raises(ValueError, match="sealed but gone"):
         open_answers(tmp_path)
     paths[0].write_bytes(content)
-    write_answer(draw_case(3), tmp_path)
+    write_answer(draw_case(3, robot="op3"), tmp_path)
     with pytest.raises(ValueError, match="never sealed"):
         open_answers(tmp_path)
 
@@ -126,7 +128,7 @@ def test_sealed_answers_open_only_unchanged(tmp_path):
 def test_the_logs_tell_nothing_but_what_sensors_say(tmp_path, monkeypatch):
     """A case's folder holds logs that read back and the base model; no seed, size or name of what is hidden."""
     with_suite(monkeypatch, "op3", [robot_suite(1, duration=0.25)[i] for i in (2, 8, 22)])
-    case = draw_case(1, "single", "strong", "backlash")
+    case = draw_case(1, "single", "strong", "backlash", robot="op3")
     place = make_case(case, tmp_path / "cases", tmp_path / "answers")
     logs = read_logs(place / "data")
     assert [log.metadata.extra["tilt"] for log in logs] == [[0.0, 0.0], [0.5, 0.8], [0.0, 0.0]]

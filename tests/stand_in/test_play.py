@@ -133,7 +133,7 @@ def test_saved_and_loaded(tmp_path):
 
 def test_a_fall_is_written_down():
     """A robot without gains collapses, and the metadata says so."""
-    straight = Motion(np.arange(250) / 125, np.tile(pose("zero"), (250, 1)), name="collapse")
+    straight = Motion(np.arange(250) / 125, np.tile(pose("zero", "op3"), (250, 1)), name="collapse", robot="op3")
     log = StandIn(HiddenWorld(foot_friction=0.7)).play(straight, p_gain=0.0, d_gain=0.0, settle=0.0)
     assert log.metadata.fallen is True
 
@@ -142,8 +142,8 @@ def test_low_gains_sag_more():
     """A quarter of the gain in one knee, asked per joint, lets that knee sink further."""
     gains = np.full(20, 6.0)
     gains[indices(["l_knee"])] = 1.5
-    soft = StandIn(HiddenWorld(), "stand").play(hold(pose("stand"), 0.2), p_gain=gains, settle=0.5)
-    stiff = StandIn(HiddenWorld(), "stand").play(hold(pose("stand"), 0.2), settle=0.5)
+    soft = StandIn(HiddenWorld(), "stand").play(hold(pose("stand", "op3"), 0.2, robot="op3"), p_gain=gains, settle=0.5)
+    stiff = StandIn(HiddenWorld(), "stand").play(hold(pose("stand", "op3"), 0.2, robot="op3"), settle=0.5)
     error = [np.abs(log.column("l_knee.position") - log.column("l_knee.target")).max() for log in (soft, stiff)]
     assert error[0] > 1.5 * error[1]
     assert (soft.column("l_knee.p_gain") == 1.5).all()
@@ -151,7 +151,7 @@ def test_low_gains_sag_more():
 
 def test_gains_by_row():
     """Gains may change from row to row."""
-    motion = hold(pose("stand"), 0.08)
+    motion = hold(pose("stand", "op3"), 0.08, robot="op3")
     gains = np.linspace(1, 6, 10)[:, None] * np.ones(20)
     log = StandIn(HiddenWorld(), "stand").play(motion, p_gain=gains, settle=0.1)
     assert log.array("command/p_gain").tolist() == gains.tolist()
@@ -159,10 +159,10 @@ def test_gains_by_row():
 
 def test_slow_and_partial_motions():
     """A motion at another rate is held between its rows; joints it does not name stay in the pose "stand"."""
-    motion = Motion(np.array([0.0, 0.016, 0.048]), np.array([[0.1], [0.2], [0.3]]), ("head_pan",))
+    motion = Motion(np.array([0.0, 0.016, 0.048]), np.array([[0.1], [0.2], [0.3]]), ("head_pan",), robot="op3")
     targets = sample(motion, 0.008)
     assert targets[:, 0].tolist() == [0.1, 0.1, 0.2, 0.2, 0.2, 0.2, 0.3]
-    assert (targets[:, 1:] == pose("stand")[1:]).all()
+    assert (targets[:, 1:] == pose("stand", "op3")[1:]).all()
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,9 @@ def test_bad_arguments(arguments, message):
 def test_targets_beyond_the_soft_limits_are_refused():
     """No robot is told to go where software must keep it from; the message names joint, angle and limit."""
     with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
-        StandIn(HiddenWorld(), "stand").play(Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",)))
+        StandIn(HiddenWorld(), "stand").play(
+            Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",), robot="op3")
+        )
 
 
 def test_the_bench_plays_a_motion_of_its_own():
@@ -199,7 +201,7 @@ def test_the_bench_plays_a_motion_of_its_own():
 def test_a_push_throws_a_robot_off():
     """A stumbling push in the middle of a squat rolls the trunk; without it, it hardly moves; the stand holds it."""
     calm, pushed = (
-        play(StandIn(HiddenWorld(), seed=1), hold(pose("stand"), 0.6), 6.0, 0.1, pushes=pushes)
+        play(StandIn(HiddenWorld(), seed=1), hold(pose("stand", "op3"), 0.6, robot="op3"), 6.0, 0.1, pushes=pushes)
         for pushes in ((), (TrunkPush(0.1, (0.0, 12.0, 0.0)),))
     )
     roll = [np.abs(log.array("imu/orientation")[:, 0]).max() for log in (calm, pushed)]

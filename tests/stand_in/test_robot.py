@@ -41,10 +41,10 @@ def hold(robot: StandIn, target: np.ndarray, duration: float) -> None:
 def test_a_held_robot_stays_at_rest():
     """With the noises off, a robot that stands holds every joint and its trunk still to the last count."""
     robot = StandIn(QUIET.replace(gyro_noise=0.0, accelerometer_noise=0.0))
-    robot.reset(pose("stand"))
-    hold(robot, pose("stand"), 1.5)
+    robot.reset(pose("stand", "op3"))
+    hold(robot, pose("stand", "op3"), 1.5)
     before = robot.read_sensors()
-    hold(robot, pose("stand"), 1.0)
+    hold(robot, pose("stand", "op3"), 1.0)
     after = robot.read_sensors()
     assert after.position.tolist() == before.position.tolist()
     assert after.orientation is not None
@@ -66,7 +66,7 @@ def test_a_leaning_pose_stands_on_its_soles():
 def test_specific_force_in_the_stand(tilt):
     """At rest the accelerometer reads gravity upwards, turned into the tilted trunk."""
     robot = StandIn(QUIET.replace(accelerometer_noise=0.0), build_scene("stand", tilt_pitch=tilt))
-    robot.reset(pose("stand"))
+    robot.reset(pose("stand", "op3"))
     robot.advance(0.1)
     force, orientation = robot.read_sensors().linear_acceleration, robot.read_sensors().orientation
     assert force is not None
@@ -79,8 +79,8 @@ def test_specific_force_in_the_stand(tilt):
 def test_readings_lie_on_the_registers_grids():
     """Every reading is a whole number of the register's units."""
     robot = StandIn(HiddenWorld(), seed=3)
-    robot.reset(pose("stand"))
-    hold(robot, pose("squat_low"), 0.08)
+    robot.reset(pose("stand", "op3"))
+    hold(robot, pose("squat_low", "op3"), 0.08)
     sensors = robot.read_sensors()
     units = {
         "position": POSITION_UNIT,
@@ -101,7 +101,7 @@ def test_readings_lie_on_the_registers_grids():
 def test_a_command_takes_its_time():
     """A current written with a delay starts after it."""
     robot = StandIn(QUIET.replace(current_lag=1e-6), "stand")
-    robot.reset(pose("zero"))
+    robot.reset(pose("zero", "op3"))
     robot.write_current(np.full(20, 0.269), 0.005)
     robot.advance(0.005)
     assert not robot.read_sensors().current.any()
@@ -112,7 +112,7 @@ def test_a_command_takes_its_time():
 def test_current_limit():
     """A servo holds no goal beyond 2.3 A."""
     robot = StandIn(QUIET, "stand")
-    robot.reset(pose("zero"))
+    robot.reset(pose("zero", "op3"))
     robot.write_current(np.full(20, 5.0))
     robot.advance(0.005)
     assert robot.read_sensors().current.max() <= 2.3 + CURRENT_UNIT / 2
@@ -179,7 +179,7 @@ def test_friction_stops_a_pendulum():
 def test_a_dead_robot_loses_energy():
     """Legs let go from a bent pose in the stand never gain mechanical energy and come to rest."""
     robot = StandIn(QUIET, "stand")
-    robot.reset(pose("squat_low"))
+    robot.reset(pose("squat_low", "op3"))
     limbs, energies = robot._bodies, []
     for _ in range(300):
         robot.advance(0.01)
@@ -222,7 +222,7 @@ def test_converges_with_the_time_step():
 
     def final(timestep: float) -> np.ndarray:
         robot = StandIn(QUIET.replace(timestep=timestep), "stand")
-        robot.reset(pose("stand"))
+        robot.reset(pose("stand", "op3"))
         positions = []
         for tick in range(100):
             robot.write_current(0.25 * np.sin(2 * np.pi * tick * 0.008 * np.linspace(1, 3, 20)), 0.006)

@@ -60,7 +60,7 @@ def test_balance_by_hand():
 def test_trunk_height():
     """The lever from rates to velocities is the height of the trunk in the stand pose, 0.245 m."""
     rates = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    assert swayed(rates, load_robot())[0].item() == pytest.approx(LEVER, abs=1e-5)
+    assert swayed(rates, load_robot("op3"))[0].item() == pytest.approx(LEVER, abs=1e-5)
 
 
 def test_walk_by_hand():

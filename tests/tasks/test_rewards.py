@@ -38,7 +38,7 @@ def test_smooth_term_by_hand():
 def test_overload_term_by_hand():
     """Half the heat of 171 counts (0.45999 A) costs nothing; twice that current in two motors is an excess of 7."""
     fifth = 171 * 0.00269
-    robot = load_robot()
+    robot = load_robot("op3")
 
     def overload(*values: float) -> torch.Tensor:
         currents = torch.zeros(1, len(robot.joints), dtype=torch.float64)

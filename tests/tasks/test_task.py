@@ -93,7 +93,7 @@ def test_beginnings():
     np.testing.assert_array_equal(first.qpos, again.qpos)
     np.testing.assert_array_equal(first.qvel, again.qvel)
     assert not np.array_equal(first.qpos, other.qpos)
-    assert np.abs(first.qpos[0, 7:27] - pose("stand")).max() < 0.1
+    assert np.abs(first.qpos[0, 7:27] - pose("stand", "op3")).max() < 0.1
     assert first.qvel[0, [2, 5]].tolist() == [0.0, 0.0]
 
 
@@ -120,7 +120,7 @@ def test_table_one():
 def test_moving_ground_cannot_be_replayed():
     """A log of a board is not replayed on a board that stays level."""
     with pytest.raises(ValueError, match="cannot be replayed"):
-        Setup.of_mount("board")
+        Setup.of_mount("board", robot="op3")
 
 
 def test_a_policy_of_another_task_is_refused():

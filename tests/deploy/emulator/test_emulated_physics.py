@@ -51,7 +51,7 @@ def test_a_fall_shows_in_the_imu(kind):
     physics.advance(2.5)
     readings = physics.read()
     assert np.linalg.norm(readings.linear_acceleration) == pytest.approx(9.8, rel=0.2)
-    assert np.abs(physics.position - pose("stand")).max() > 0.3
+    assert np.abs(physics.position - pose("stand", "op3")).max() > 0.3
 
 
 def test_the_simulation_behind_the_bus_is_the_simulation():
@@ -68,7 +68,7 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
         base_body="op3/body_link",
         joint_names=JOINTS,
     )
-    stand = pose("stand")
+    stand = pose("stand", "op3")
     commands = {"position_target": torch.from_numpy(stand), "p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
     direct.reset(scene.initial_qpos(stand), commands)
     physics = SimPhysics(model)
@@ -84,7 +84,7 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
 def test_the_stand_in_behind_the_bus_is_the_stand_in():
     """The same currents move it as they move a stand-in of its own."""
     physics, direct = StandInPhysics(HiddenWorld(), seed=3), StandIn(HiddenWorld(), seed=3)
-    direct.reset(pose("stand"))
+    direct.reset(pose("stand", "op3"))
     sensors = direct.read_sensors()  # a reading draws from the same random numbers as the servos do
     for number in range(50):
         current = 0.3 * np.sin(0.3 * number + np.arange(20))
