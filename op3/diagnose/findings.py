@@ -272,7 +272,7 @@ class Search:
         """The stage with one more effect named; None where none is worth it."""
         odds, shared = stage.judge.scores(stage.fit), self.shared(stage)
         leaders = self.leaders(stage, odds, stage.fit.state)
-        if (named := self._name(stage, [*shared, *leaders])) is not None:
+        if (named := self._name(stage, [*shared, *self.taken_back(stage), *leaders])) is not None:
             return named
         # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
         # and begin anew with it, so that windows which it explains count again
@@ -317,6 +317,18 @@ class Search:
         first, behind = places[:MOST], {stage.found[mine[0]].place for _, mine in relatives}
         kept = {*first, *[place for place in places[MOST:] if place in behind][:MOST]}
         return [one for _, one in estimates if stage.found[one.number].place in kept]
+
+    def taken_back(self, stage: NamingStage) -> list[Proposal]:
+        """Candidates for what the base was taken back from; the base has a little of the same, which hides them."""
+        base = stage.base
+        entries = [base.coordinates.entries[i] for i in np.flatnonzero(base.taken_back)]
+        places = {(entry.parameter, entry.joints) for entry in entries}
+        still = np.zeros(len(base.point))
+        return [
+            Proposal(number, still, 1.0, stage.fit.state)
+            for number, candidate in enumerate(stage.found)
+            if (candidate.sized, candidate.joints) in places
+        ]
 
     def shared(self, stage: NamingStage) -> list[Proposal]:
         """Candidates of all joints that are evident once the base has taken a step with them, best first.
