@@ -32,7 +32,7 @@ def recorded():
     model, policy = load_model("paper"), holding_bundle(p_gain=2.0)
     robot = model.with_values({"torque_constant": 0.0049})
     motion = squat()
-    short = type(motion)(motion.time[:126], motion.position[:126], motion.joints, motion.name)
+    short = type(motion)(motion.time[:126], motion.position[:126], motion.joints, motion.name, robot="op3")
     excitation = [simulate_motion(robot, short)]
     env = BatchedEnv(TASK, robot, 4, 3, action_map=policy.manifest.action_map)
     env.reset = lambda *_, **__: env.begin({i: i for i in range(4)})  # the episodes that candidates play
