@@ -15,7 +15,9 @@ from op3.sim import load_model
 def log():
     """One second of a squat."""
     motion = squat()
-    return simulate_motion(load_model("paper"), type(motion)(motion.time[:126], motion.position[:126], motion.joints))
+    return simulate_motion(
+        load_model("paper"), type(motion)(motion.time[:126], motion.position[:126], motion.joints, robot="op3")
+    )
 
 
 def test_joints_and_trunk_are_those_of_the_log(log):
