@@ -2,6 +2,7 @@
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -260,3 +261,17 @@ def test_what_all_joints_share_is_told_though_the_base_takes_its_place():
     assert [one.candidate.place for one in further.named] == [("load_friction", None)]
     assert further.base.point[-1] == pytest.approx(0.1, rel=0.3)
     assert further.named[0].log_odds > 20
+
+
+def test_what_a_base_was_taken_back_from_is_proposed(logs):
+    """Nothing linear tells it: the base's own friction of that joint, though held in its range, takes its place."""
+    search_ = Search(Reduction(WindowResiduals(logs, windows=4)))
+    base = unfitted(search_.reduction, load_model("paper"))
+    entries = base.coordinates.entries
+    number = next(i for i, one in enumerate(entries) if one.parameter == "coulomb_friction" and one.joints == (3,))
+    outside = base.linear.point.copy()
+    outside[number] = base.coordinates.high[number] + 2.0
+    for point, places in ((base.linear.point, set()), (outside, {("coulomb", (3,))})):
+        at = dataclasses.replace(base, linear=dataclasses.replace(base.linear, point=point))
+        stage: Any = SimpleNamespace(base=at, found=search_._candidates(at), fit=at.fit)
+        assert {stage.found[one.number].place for one in search_.taken_back(stage)} == places
