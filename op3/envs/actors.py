@@ -105,9 +105,9 @@ def find_actor(
     """
     action_map = task.action_map()
     baselines: dict[str, Callable[[], Any]] = {
-        "hold": lambda: Hold(hold_gain, action_map),
+        "hold": lambda: Hold(action_map, hold_gain),
         "zero": lambda: Zero(action_map),
-        "random": lambda: Random(seed, action_map),
+        "random": lambda: Random(action_map, seed),
         "stiff": lambda: StiffWalk(firmware_gain=gain_scale * POSITION_GAIN),
     }
     if name in baselines:

@@ -53,7 +53,7 @@ class ActionMap:
     gain_low: NotNegative | None = GAIN_LOW
     gain_high: NotNegative | None = GAIN_HIGH
     d_gain: NotNegative = D_GAIN
-    robot: Text = DEFAULT
+    robot: Text = DEFAULT  # in manifests that do not say so
 
     def __post_init__(self):
         robot = load_robot(self.robot)
@@ -97,7 +97,7 @@ class ActionMap:
         if "position" not in terms:
             raise ValueError("actions.position is missing: give it, for example {span: 0.4}")
         gain, joints = terms.get("p_gain"), terms["position"].get("joints")
-        made = cls.around_stand(terms["position"].get("span", SPAN), None if joints is None else tuple(joints), robot)
+        made = cls.around_stand(robot, terms["position"].get("span", SPAN), None if joints is None else tuple(joints))
         if gain is None or all(servo.loop == "firmware" for servo in robot.servos):
             return dataclasses.replace(made, gain_low=None, gain_high=None)
         low, high = gain.get("low", GAIN_LOW), gain.get("high", GAIN_HIGH)
@@ -105,17 +105,14 @@ class ActionMap:
         return dataclasses.replace(made, gain_low=low, gain_high=high, d_gain=d_gain)
 
     @classmethod
-    def around_stand(
-        cls, span: float = SPAN, joints: tuple[str, ...] | None = None, robot: Robot | None = None
-    ) -> "ActionMap":
+    def around_stand(cls, robot: Robot, span: float = SPAN, joints: tuple[str, ...] | None = None) -> "ActionMap":
         """Targets within `span` [rad] of the stand pose, clipped to the soft limits.
 
         Args:
+            robot: whose stand pose, joints and limits.
             span: largest distance from the stand pose [rad].
             joints: the controlled joints; None: those of the robot.
-            robot: whose; None: the OP3.
         """
-        robot = load_robot("op3") if robot is None else robot
         joints = robot.controlled if joints is None else joints
         places = robot.indices(joints)
         stand, (low, high) = robot.home[places], robot.limits[places].T

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from op3.motions import SinusoidalGait
 from op3.policy import ActionMap
+from op3.robot import load_robot
 from op3.servo import RobotModel, effect_class
 
 
@@ -16,11 +17,12 @@ class Hold:
     """Holds the stand pose, stiffly by default.
 
     Args:
+        action_map: what actions mean.
         p_gain: of every controlled joint [A/rad]; None: the highest, 6 A/rad.
     """
 
-    def __init__(self, p_gain: float | None = None, action_map: ActionMap | None = None):
-        self._action = torch.from_numpy((action_map or ActionMap.around_stand()).stand(p_gain))
+    def __init__(self, action_map: ActionMap, p_gain: float | None = None):
+        self._action = torch.from_numpy(action_map.stand(p_gain))
 
     def act(self, observation: Tensor) -> Tensor:
         """The same action, whatever is seen: ``[..., action]``."""
@@ -30,8 +32,8 @@ class Hold:
 class Zero:
     """Action zero: the stand pose with gains in the middle of their range."""
 
-    def __init__(self, action_map: ActionMap | None = None):
-        self._size = (action_map or ActionMap.around_stand()).size
+    def __init__(self, action_map: ActionMap):
+        self._size = action_map.size
 
     def act(self, observation: Tensor) -> Tensor:
         """Zeros ``[..., action]``."""
@@ -41,8 +43,8 @@ class Zero:
 class Random:
     """Uniform actions."""
 
-    def __init__(self, seed: int = 0, action_map: ActionMap | None = None):
-        self._size = (action_map or ActionMap.around_stand()).size
+    def __init__(self, action_map: ActionMap, seed: int = 0):
+        self._size = action_map.size
         self._generator = torch.Generator().manual_seed(seed)
 
     def act(self, observation: Tensor) -> Tensor:
@@ -68,7 +70,7 @@ class StiffWalk:
     def __init__(self, firmware_gain: float = POSITION_GAIN):
         self.gait = SinusoidalGait(step=0.045)  # long enough for 0.3 m/s if no foot slipped
         self.firmware_gain = firmware_gain
-        self._hold = Hold()
+        self._hold = Hold(ActionMap.around_stand(load_robot("op3")))
 
     def act(self, observation: Tensor) -> Tensor:
         """What a policy that holds would do; `commands` goes before it."""

@@ -7,6 +7,7 @@ import torch
 
 from op3.envs.actors import FixedGain, find_actor
 from op3.policy import ActionMap
+from op3.robot import load_robot
 from op3.tasks import Zero, find_task
 
 POLICIES = Path(__file__).resolve().parents[2] / "assets" / "policies"
@@ -31,8 +32,8 @@ def test_what_does_not_fit_the_task(name, task, message):
 
 def test_fixed_gain():
     """Targets stay, and all gains become the one asked for."""
-    action_map = ActionMap.around_stand()
+    action_map = ActionMap.around_stand(load_robot("op3"))
     observation = torch.zeros(3, 4, dtype=torch.float64)
-    target, gain = action_map.targets(FixedGain(Zero(), action_map, 2.0).act(observation))
-    torch.testing.assert_close(target, action_map.targets(Zero().act(observation))[0])
+    target, gain = action_map.targets(FixedGain(Zero(action_map), action_map, 2.0).act(observation))
+    torch.testing.assert_close(target, action_map.targets(Zero(action_map).act(observation))[0])
     torch.testing.assert_close(gain, torch.full_like(gain, 2.0))

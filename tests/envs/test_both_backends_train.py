@@ -6,13 +6,14 @@ import torch
 
 from op3.envs import make_env
 from op3.policy import ActionMap, Manifest
+from op3.robot import load_robot
 from op3.tasks import find_task
 from op3.train import SAC, Progress, TrainSettings, evaluate, train
 
 
 def learned(backend: str, folder: Path) -> tuple[SAC, Progress]:
     """Forty steps and ten updates of balancing on one robot."""
-    task, action_map = find_task("balance", duration=0.48), ActionMap.around_stand()
+    task, action_map = find_task("balance", duration=0.48), ActionMap.around_stand(load_robot("op3"))
     env, judge = (make_env(task, num_envs=1, action_map=action_map, backend=backend) for _ in range(2))
     sac = SAC(
         env,

@@ -15,7 +15,7 @@ from op3.tasks.task import find_task
 def test_log_is_complete(tmp_path):
     """A recorded episode has every channel and field that the schema knows, and survives a file."""
     env = make_env(find_task("walk", duration=0.64), num_envs=2, seed=5)
-    logs = record_episodes(env, Hold(), recording="hold")
+    logs = record_episodes(env, Hold(env.action_map), recording="hold")
     assert len(logs) == 2
     log = logs[1]
     assert log.rows == 80
@@ -35,7 +35,7 @@ def test_log_is_complete(tmp_path):
 def test_policy_channels_are_held():
     """Observation, action and reward change every fourth row and are what the environment exchanged."""
     env = make_env(find_task("balance", duration=0.32), num_envs=1)
-    log = record_episodes(env, Random(1))[0]
+    log = record_episodes(env, Random(env.action_map, 1))[0]
     for key in ("policy/observation", "policy/action", "policy/reward"):
         channel = log.array(key)
         np.testing.assert_array_equal(channel, np.repeat(channel[::4], 4, axis=0))
@@ -47,7 +47,7 @@ def test_policy_channels_are_held():
 def test_recording_changes_nothing():
     """An environment that is recorded gives the rewards that it gives unrecorded."""
     made = [make_env(find_task("balance", duration=0.32), num_envs=2, seed=9) for _ in range(2)]
-    log = record_episodes(made[0], Zero())[0]
+    log = record_episodes(made[0], Zero(made[0].action_map))[0]
     state, rewards = made[1].reset(), []
     for _ in range(10):
         state["action"] = torch.zeros(2, 20)
@@ -60,14 +60,15 @@ def test_recording_changes_nothing():
 def test_more_episodes_than_robots():
     """Three episodes of two robots are three different ones."""
     env = make_env(find_task("walk", duration=0.1), num_envs=2)
-    logs = record_episodes(env, Hold(), episodes=3)
+    logs = record_episodes(env, Hold(env.action_map), episodes=3)
     assert len({log.metadata.seed for log in logs}) == 3
 
 
 @pytest.mark.slow
 def test_holding_survives_a_level_board():
     """Holding the stand pose stiffly survives 10 s on a board that stays level, with a good R_eval."""
-    logs = record_episodes(make_env(find_task("balance", {"events.board.motion": "still"}), num_envs=4), Hold())
+    env = make_env(find_task("balance", {"events.board.motion": "still"}), num_envs=4)
+    logs = record_episodes(env, Hold(env.action_map))
     assert not any(log.metadata.fallen for log in logs)
     assert all(log.rows == 1252 for log in logs)
     assert min(float(evaluation_rewards(log).mean()) for log in logs) > 0.5
@@ -76,7 +77,8 @@ def test_holding_survives_a_level_board():
 @pytest.mark.slow
 def test_holding_falls_from_the_tilting_board():
     """Holding the stand pose stiffly does not pass the evaluation: there is something to learn."""
-    logs = record_episodes(make_env("balance_eval", num_envs=4), Hold())
+    env = make_env("balance_eval", num_envs=4)
+    logs = record_episodes(env, Hold(env.action_map))
     assert all(log.metadata.fallen for log in logs)
 
 

@@ -11,10 +11,10 @@ from hypothesis.extra import numpy as hnp
 
 from op3.policy import ActionMap
 from op3.policy.actions import HELD_GAIN
-from op3.robot import pose
+from op3.robot import load_robot, pose
 from tests.op3_table import CONTROLLED_JOINTS, JOINTS, SOFT_LIMITS, indices
 
-MAP = ActionMap.around_stand()
+MAP = ActionMap.around_stand(load_robot("op3"))
 ACTIONS = hnp.arrays(np.float64, (3, 20), elements=st.floats(-1, 1))
 
 
@@ -60,7 +60,7 @@ def test_torch_equals_numpy(action):
 
 def test_wide_spans_are_clipped_to_the_soft_limits():
     """A span wider than a joint's soft limits ends at them, and the stand action still stands."""
-    wide = ActionMap.around_stand(span=2.0)
+    wide = ActionMap.around_stand(load_robot("op3"), span=2.0)
     knee = wide.joints.index("l_knee")
     assert wide.position_high[knee] == SOFT_LIMITS["l_knee"][1]
     position, gain = wide.targets(wide.stand())
@@ -100,12 +100,12 @@ def test_dictionary_round_trip():
 @pytest.mark.parametrize("span", [0.1, 0.4, 0.6])
 def test_span_is_how_far_targets_may_lie_from_the_stand_pose(span):
     """It is what `around_stand` was told, where no soft limit is nearer."""
-    assert ActionMap.around_stand(span).span == pytest.approx(span)
+    assert ActionMap.around_stand(load_robot("op3"), span).span == pytest.approx(span)
 
 
 def test_commands_of_all_joints():
     """Controlled joints get the action's targets, the others hold the stand pose; numpy and torch alike."""
-    action_map = ActionMap.around_stand()
+    action_map = ActionMap.around_stand(load_robot("op3"))
     action = np.random.default_rng(0).uniform(-1, 1, (3, action_map.size))
     found = action_map.commands(action)
     position, gain = found["position_target"], found["p_gain"]

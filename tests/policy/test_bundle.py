@@ -8,13 +8,14 @@ import torch
 
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.bundle import weight_shapes
+from op3.robot import load_robot
 
 LAYOUT = {"key_points": 36, "command": 20, "orientation": 3, "angular_velocity": 3}
 MANIFEST = Manifest(
     task="balance",
     layout=LAYOUT,
     history=1,
-    action_map=ActionMap.around_stand(),
+    action_map=ActionMap.around_stand(load_robot("op3")),
     hidden=(256, 256),
     training=Training(
         model="paper", seed=3, steps=1000, command="python experiments/train.py", settings={"batch": 256}
@@ -141,9 +142,9 @@ def test_no_bundle_is_overwritten_unasked(bundle, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"layout": {**LAYOUT, "phase": 2}}, "field layout of its manifest is key_points 36.*phase 2; it was trained"),
-        ({"history": 3}, "field history of its manifest is 1, here it is 3"),
-        ({"policy_rate": 50.0}, "field policy_rate of its manifest is 31.25 Hz, here it is 50 Hz"),
+        ({"layout": {**LAYOUT, "phase": 2}}, "field layout of its manifest is key_points 36.*phase 2; the policy was trained"),
+        ({"history": 3}, "field history of its manifest is 1, expected 3"),
+        ({"policy_rate": 50.0}, "field policy_rate of its manifest is 31.25 Hz, expected 50 Hz"),
     ],
 )
 def test_a_robot_that_the_policy_was_not_made_for(changes, message):

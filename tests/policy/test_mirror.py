@@ -59,7 +59,7 @@ def test_the_simulated_image_does_the_image():
     env.mdp._first_phase[:] = torch.tensor([0.1, 0.6])
     env.simulation.batch.forward()
     generator = torch.Generator().manual_seed(1)
-    stand = torch.from_numpy(ActionMap.around_stand().stand(4.0)).float()
+    stand = torch.from_numpy(ActionMap.around_stand(load_robot("op3")).stand(4.0)).float()
     state = start
     for _ in range(10):
         action = (stand + 0.2 * torch.randn(20, generator=generator)).clamp(-1, 1)
@@ -94,4 +94,4 @@ def test_own_terms_have_the_image_that_they_have():
     with pytest.raises(ValueError, match="'knee' has no mirror image"):
         alone.mirror(alone.action_map())
     with pytest.raises(ValueError, match="its partner r_knee is not controlled"):
-        WALK.mirror(ActionMap.around_stand(joints=("l_knee",)))
+        WALK.mirror(ActionMap.around_stand(load_robot("op3"), joints=("l_knee",)))

@@ -263,7 +263,7 @@ def test_a_scene_of_ones_own(package, tmp_path):
     for scene, geoms in (("my_package.terms.stairs", 5), (str(box), 2)):
         env = make_env(find_task("walk", scene=scene, duration=0.16), num_envs=2)
         assert len(env.scene.ground) == geoms
-        log = record_episodes(env, Hold(action_map=env.action_map))[0]
+        log = record_episodes(env, Hold(env.action_map))[0]
         assert not log.metadata.fallen
         assert log.metadata.mount == scene
     with pytest.raises(ValueError, match=r"my_package\.terms has no 'nothing'"):

@@ -13,7 +13,7 @@ def test_an_arm_succeeds_where_its_tip_is():
     """The tip of an arm that holds its pose is as far from its target as simulation says; a limit splits the arms."""
     task = find_task("reach", duration=0.32)
     env = make_env(task, num_envs=8, num_threads=1)
-    hold = Hold(action_map=env.action_map)
+    hold = Hold(env.action_map)
     record_episodes(env, hold)
     state = env.mdp.state
     distance = torch.linalg.vector_norm(state.tip_position - state.commands["target"], dim=1)
@@ -33,6 +33,6 @@ def test_who_stands_has_not_travelled():
         ({"success.travelled.distance": -0.1}, True),
     ):
         env = make_env(walk.changed(changes), num_envs=2, num_threads=1)
-        logs = record_episodes(env, Hold(action_map=env.action_map))
+        logs = record_episodes(env, Hold(env.action_map))
         assert [succeeded(log, env.task) for log in logs] == [wanted, wanted]
         assert all(log.metadata.extra["success"] == wanted for log in logs)

@@ -15,10 +15,9 @@ def test_the_shipped_balance_policy_stands_where_the_stiff_hold_falls():
     policy = PolicyBundle.load(asset_path("policies/balance/manifest.yaml").parent)
     assert policy.manifest.training.model_hash == model_hash(load_model("paper"))
     returns = {}
-    for name, judged in (("policy", policy), ("hold", Hold())):
-        action_map = policy.manifest.action_map if name == "policy" else None
+    for name, action_map in (("policy", policy.manifest.action_map), ("hold", None)):
         env = make_env("balance_eval", "paper", 4, seed=77, action_map=action_map)
-        logs = record_episodes(env, judged)
+        logs = record_episodes(env, policy if name == "policy" else Hold(env.action_map))
         returns[name] = sum(evaluation_return(log) for log in logs) / 4
         if name == "policy":
             assert not any(log.metadata.fallen for log in logs)

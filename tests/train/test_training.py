@@ -14,6 +14,7 @@ from train_pendulum import LIMIT, MANIFEST, Pendulum
 
 from op3.envs import make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle
+from op3.robot import load_robot
 from op3.tasks import find_task
 from op3.train import PPO, SAC, TD3, Algorithm, Practice, Progress, TrainSettings, evaluate, train
 from op3.train.checkpoint import stop_requested
@@ -124,7 +125,7 @@ def test_overlap_changes_nothing_but_the_time(tmp_path):
 @pytest.mark.slow
 def test_a_resumed_walk_takes_the_steps_of_the_one_without_interruption(tmp_path):
     """On walking OP3s too: killed at a checkpoint and resumed, weights and measures agree to the last bit."""
-    task, action_map = find_task("walk"), ActionMap.around_stand()
+    task, action_map = find_task("walk"), ActionMap.around_stand(load_robot("op3"))
     manifest = Manifest("walk", task.layout, task.history, action_map, (32, 32))
     settings = TrainSettings(steps=96, evaluate_every=96, checkpoint_every=48, log_every=16)
     learn = {**LEARN, "initial_std": 0.2, "warmup": 32, "updates_per_step": 0.5}
