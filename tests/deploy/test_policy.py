@@ -111,7 +111,7 @@ def test_a_policy_for_another_loop_is_refused():
     """A bundle with other rates, another layout, or a phase without a known cycle names the field."""
     bundle = hold_policy()
     bundle.manifest = dataclasses.replace(bundle.manifest, policy_rate=62.5)
-    with pytest.raises(ValueError, match=r"field policy_rate of its manifest is 62\.5 Hz, here it is 31\.25 Hz"):
+    with pytest.raises(ValueError, match=r"field policy_rate of its manifest is 62\.5 Hz, expected 31\.25 Hz"):
         PolicyRunner(bundle)
     bundle.manifest = dataclasses.replace(hold_policy().manifest, layout={"temperature": 20}, observations={})
     with pytest.raises(ValueError, match="field layout"):
