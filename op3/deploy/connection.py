@@ -205,7 +205,7 @@ def _logs(connection: Connection, plan: Plan, recording: str | None, **metadata:
     facts = Metadata(
         joints=bus.joints,
         robot=connection.kind,
-        robot_file=None if robot.reference == DEFAULT else robot.reference,
+        robot_file=None if robot.reference == DEFAULT else robot.reference,  # logs of the OP3 name no file
         mount=connection.mount,
         rate=1 / PERIOD,
         battery=robot.supply,

@@ -99,6 +99,7 @@ class Rollout:
     @property
     def named_robot(self) -> Robot:
         """The robot that the metadata name, whether it has these joints or not."""
+        # logs of the OP3 name no file
         name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else DEFAULT)
         try:
             return load_robot(name)

@@ -142,7 +142,7 @@ def test_no_bundle_is_overwritten_unasked(bundle, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"layout": {**LAYOUT, "phase": 2}}, "field layout of its manifest is key_points 36.*phase 2; the policy was trained"),
+        ({"layout": {**LAYOUT, "phase": 2}}, "field layout of its manifest is key_points 36.*phase 2; the policy was"),
         ({"history": 3}, "field history of its manifest is 1, expected 3"),
         ({"policy_rate": 50.0}, "field policy_rate of its manifest is 31.25 Hz, expected 50 Hz"),
     ],
