@@ -221,7 +221,7 @@ def test_a_run_does_not_go_on_as_another(tmp_path):
         (dataclasses.replace(MANIFEST, task="walk"), "task"),
         (dataclasses.replace(MANIFEST, training=trained), "model"),
     ):
-        with pytest.raises(ValueError, match=f"another {field}; resume with the overrides it had"):
+        with pytest.raises(ValueError, match=f"other {field}; resume with its overrides"):
             run(tmp_path, settings, resume=True, manifest=manifest)
     with pytest.raises(ValueError, match="another seed"):
         run(tmp_path, settings, resume=True, seed=3)
