@@ -233,7 +233,7 @@ def _resume(
     state = load_checkpoint(path)
     if changed := [name for name, value in identity.items() if state["identity"].get(name, value) != value]:
         raise ValueError(
-            f"{path}: is of a run with other {', '.join(changed)}; resume with its overrides, or start a new run "
+            f"{path}: is of a run with a different {', '.join(changed)}; resume with its overrides, or start a new run "
             "with warm_start=<its policy>"
         )
     had, has = flat(state["config"]), flat(config)

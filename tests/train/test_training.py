@@ -221,11 +221,11 @@ def test_a_run_does_not_go_on_as_another(tmp_path):
         (dataclasses.replace(MANIFEST, task="walk"), "task"),
         (dataclasses.replace(MANIFEST, training=trained), "model"),
     ):
-        with pytest.raises(ValueError, match=f"other {field}; resume with its overrides"):
+        with pytest.raises(ValueError, match=f"different {field}; resume with its overrides"):
             run(tmp_path, settings, resume=True, manifest=manifest)
-    with pytest.raises(ValueError, match="another seed"):
+    with pytest.raises(ValueError, match="different seed"):
         run(tmp_path, settings, resume=True, seed=3)
-    with pytest.raises(ValueError, match="another algorithm"):
+    with pytest.raises(ValueError, match="different algorithm"):
         run(tmp_path, settings, resume=True, kind=TD3)
 
 
