@@ -323,9 +323,9 @@ class Search:
         base = stage.base
         entries = [base.coordinates.entries[i] for i in np.flatnonzero(base.taken_back)]
         places = {(entry.parameter, entry.joints) for entry in entries}
-        still = np.zeros(len(base.point))
+        no_step = np.zeros(len(base.point))
         return [
-            Proposal(number, still, 1.0, stage.fit.state)
+            Proposal(number, no_step, 1.0, stage.fit.state)
             for number, candidate in enumerate(stage.found)
             if (candidate.sized, candidate.joints) in places
         ]

@@ -183,7 +183,9 @@ class BatchedEnv(EnvBase):
         """Give robots other parameters from now on, as the constructor's `parameters`."""
         self._fixed = dict(values)
         joints = self.scene.joint_names
-        drawn = {n: self.model.for_joints(n, value.cpu(), joints) for n, value in self.parameters_drawn.items()}
+        drawn = {
+            name: self.model.for_joints(name, value.cpu(), joints) for name, value in self.parameters_drawn.items()
+        }
         self.simulation.set_parameters({**self._fixed, **drawn})
 
     def _begin(self, seeds: Mapping[int, int]) -> TensorDict:

@@ -11,7 +11,6 @@ mjlab and MuJoCo Playground take the MJCF as it is.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +66,8 @@ def expressed(model: RobotModel, to: str) -> tuple[RobotModel, tuple[str, ...]]:
         model: of any effects.
         to: one of `EXPRESSES`.
     """
-    kept = tuple(effect for effect in model.effects if effect.name in EXPRESSES[to])
-    known = {parameter.name for effect in kept for parameter in effect.parameters}
-    values = {name: value for name, value in model.estimates.items() if name in known}
-    lost = tuple(name for name in model.effect_names if name not in {effect.name for effect in kept})
-    return replace(model, effects=kept, estimates=values), lost
+    lost = tuple(name for name in model.effect_names if name not in EXPRESSES[to])
+    return model.without(*lost), lost
 
 
 def to_bam(model: RobotModel, servo: str, joint: str) -> dict[str, Any]:
@@ -150,8 +146,8 @@ def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
         ValueError: if a file is missing or not PACE's, or names other joints than the robot has.
     """
     if path.is_dir():
-        found = {int(one.stem[5:]): one for one in path.glob("mean_*.pt") if one.stem[5:].isdigit()}
-        path = found[max(found)] if found else path / "mean_<iteration>.pt"
+        iterations = {int(file.stem[5:]): file for file in path.glob("mean_*.pt") if file.stem[5:].isdigit()}
+        path = iterations[max(iterations)] if iterations else path / "mean_<iteration>.pt"
     about = path.with_name("config.pt")
     for file in (path, about):
         if not file.is_file():
@@ -164,17 +160,18 @@ def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
         raise ValueError(f"{path}: not the {4 * len(joints) + 1} finite numbers of {len(joints)} joints and a delay")
     if unknown := [name for name in joints if name not in robot.joints]:
         raise ValueError(f"{about}: {robot.reference} has no joint {unknown[0]!r}; give `robot=` a file with that name")
-    kept = tuple(effect for effect in base.effects if effect.name in (*_DRIVES, "current_pd", "latency"))
-    known = {parameter.name for effect in kept for parameter in effect.parameters}
-    values = {name: value for name, value in base.estimates.items() if name in known}
     *by_joint, delay = mean.double().tolist()
-    names = ("armature", "viscous_friction", "coulomb_friction", "encoder_offset")
-    for name, own in zip(
-        names, np.reshape(by_joint, (4, -1)) * [[1], [1], [1], [-1]], strict=True
-    ):  # q - b is measured
-        values[name] = Estimate(float(own.mean()), joints=dict(zip(joints, own.tolist(), strict=True)))
-    values["command_latency"] = Estimate(round(delay) * period)
-    return replace(base, effects=(*kept, effect_class("encoder_offset")()), estimates=values)
+    armature, viscous, coulomb, bias = np.reshape(by_joint, (4, -1))
+    values = {"armature": armature, "viscous_friction": viscous, "coulomb_friction": coulomb}
+    values["encoder_offset"] = -bias  # PACE's measured angle is the joint's less its bias
+    per_joint = {
+        name: Estimate(float(value.mean()), joints=dict(zip(joints, value.tolist(), strict=True)))
+        for name, value in values.items()
+    }
+    drive = (*_DRIVES, "current_pd", "latency")
+    model = base.without(*(name for name in base.effect_names if name not in drive))
+    per_joint["command_latency"] = Estimate(round(delay) * period)
+    return model.with_effect(effect_class("encoder_offset")(), per_joint)
 
 
 def to_mjcf(model: RobotModel, robot: Robot, p_gain: float | None = None, d_gain: float = 0.0) -> str:

@@ -65,9 +65,11 @@ class Velocity:
                 raise ValueError(f"{name} must be a least and a greatest value, got {list(bounds)}")
         if not interval > 0:
             raise ValueError(f"interval must be above 0 s, got {interval}")
-        self._interval, self._shares = interval, np.cumsum((zero_share, turn_share, straight_share, single_share))
-        if not 0 <= self._shares[-1] <= 1:
-            raise ValueError(f"the shares must be at least 0 and at most 1 together, got {self._shares[-1]:g}")
+        shares = (zero_share, turn_share, straight_share, single_share)
+        if min(shares) < 0 or sum(shares) > 1:
+            names = "zero_share, turn_share, straight_share and single_share"
+            raise ValueError(f"{names} must be at least 0 and at most 1 together, got {shares}")
+        self._interval, self._shares = interval, np.cumsum(shares)
         self.scale, self.corners = scale, corners
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
         self._count = ceil(duration / interval) + 1

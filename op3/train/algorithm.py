@@ -17,7 +17,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from op3.common.settings import Count, Number, Positive, Some, settings
 from op3.policy import Manifest, PolicyBundle
 from op3.policy.mirror import Mirror
-from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork
+from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork, approach
 
 NORMALISED = "normalised"
 """Key of the normalised ``observation`` and, behind it, the ``privileged`` that a task may have for critics alone."""
@@ -177,9 +177,16 @@ class Algorithm(nn.Module, ABC):
 
     def policy_network(self, initial_action: Tensor | None) -> PolicyNetwork:
         """The policy's network, before tanh."""
-        sizes, chosen = (self.observation_size, self.action_size), self.settings
-        stds = chosen.initial_std, chosen.largest_std
-        return PolicyNetwork(*sizes, chosen.hidden, chosen.activation, initial_action, *stds)
+        chosen = self.settings
+        return PolicyNetwork(
+            self.observation_size,
+            self.action_size,
+            chosen.hidden,
+            chosen.activation,
+            initial_action,
+            chosen.initial_std,
+            chosen.largest_std,
+        )
 
     def stochastic_actor(self) -> ProbabilisticActor:
         """The policy as TorchRL's losses take it: normalised observations to squashed Gaussian actions."""
@@ -217,8 +224,7 @@ class Algorithm(nn.Module, ABC):
         """An update was made: the average of the policy follows."""
         self.updates += 1
         if self.average is not None:
-            average, latest = [*self.average.parameters()], [*self.network.parameters()]
-            torch._foreach_lerp_(average, latest, 1.0 - self.settings.averaging)  # pyright: ignore
+            approach(self.average, self.network, 1.0 - self.settings.averaging)
 
     def get_extra_state(self) -> dict[str, Any]:
         """What is neither weight nor buffer."""

@@ -175,6 +175,12 @@ class Ensemble(nn.Module):
         return torch.stack([member(observation, action).squeeze(-1) for member in self.members])
 
 
+@torch.no_grad()
+def approach(module: nn.Module, goal: nn.Module, share: float) -> None:
+    """Move a module's parameters by a share of the way to those of another of the same make."""
+    torch._foreach_lerp_([*module.parameters()], [*goal.parameters()], share)  # pyright: ignore
+
+
 @functools.cache
 def bfloat16_is_faster(device: torch.device) -> bool:
     """Whether a device multiplies bfloat16 so much faster than float32 that conversions are worth it.

@@ -96,7 +96,9 @@ class OffPolicy(Algorithm):
         """Make an empty buffer."""
         chosen = self.settings
         if chosen.buffer < 2 * self.environments:
-            raise ValueError(f"a buffer of {chosen.buffer} holds under two steps of {self.environments} environments")
+            raise ValueError(
+                f"a buffer of {chosen.buffer} transitions holds under two steps of {self.environments} environments"
+            )
         self.steps = self.learned = self.stored = 0
         storage = LazyTensorStorage(chosen.buffer, device=self.device)
         self.buffer = ReplayBuffer(storage=storage, batch_size=chosen.batch)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from op3.common.settings import Number, Positive, settings
 from op3.train.algorithm import NORMALISED, Measures
-from op3.train.networks import Ensemble
+from op3.train.networks import Ensemble, approach
 from op3.train.off_policy import OffPolicy, OffPolicySettings
 
 
@@ -59,9 +59,7 @@ class SAC(OffPolicy):
             loss, entropy = self.policy_loss(batch)
             self.step("policy", loss)
             measures |= {"actor_loss": loss.detach(), "entropy": entropy.detach()}
-        with torch.no_grad():
-            targets, critics = [*self.target_critics.parameters()], [*self.critics.parameters()]
-            torch._foreach_lerp_(targets, critics, self.settings.target_rate)  # pyright: ignore
+        approach(self.target_critics, self.critics, self.settings.target_rate)
         return measures | {"temperature": self.log_temperature.detach().exp()}
 
     def critic_loss(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:

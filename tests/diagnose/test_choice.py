@@ -263,9 +263,12 @@ def test_what_all_joints_share_is_told_though_the_base_takes_its_place():
     assert further.named[0].log_odds > 20
 
 
-def test_what_a_base_was_taken_back_from_is_proposed(logs):
-    """Nothing linear tells it: the base's own friction of that joint, though held in its range, takes its place."""
+def test_what_a_base_was_taken_back_from_is_proposed(logs, monkeypatch):
+    """No column shows it: the base's own friction of that joint, though held in its range, takes its place."""
     search_ = Search(Reduction(WindowResiduals(logs, windows=4)))
+    monkeypatch.setattr(search_, "shared", lambda _: [])
+    monkeypatch.setattr(search_, "leaders", lambda *_: [])
+    monkeypatch.setattr(search_, "_name", lambda at, proposals: {at.found[p.number].place for p in proposals})
     base = unfitted(search_.reduction, load_model("paper"))
     entries = base.coordinates.entries
     number = next(i for i, one in enumerate(entries) if one.parameter == "coulomb_friction" and one.joints == (3,))
@@ -275,3 +278,5 @@ def test_what_a_base_was_taken_back_from_is_proposed(logs):
         at = dataclasses.replace(base, linear=dataclasses.replace(base.linear, point=point))
         stage: Any = SimpleNamespace(base=at, found=search_._candidates(at), fit=at.fit)
         assert {stage.found[one.number].place for one in search_.taken_back(stage)} == places
+        stage.judge = SimpleNamespace(scores=lambda _: None)
+        assert search_.further(stage) == places

@@ -35,7 +35,10 @@ def test_a_share_of_the_commands_has_one_number_alone():
     assert (drawn[:, :2].all(1) & ~drawn[:, 2]).double().mean() == pytest.approx(0.2, abs=0.03)
 
 
-def test_shares_above_one_are_refused():
-    """They would leave no commands to draw."""
-    with pytest.raises(ValueError, match=r"at most 1 together, got 1\.2"):
-        Velocity(1, 10.0, **RANGES, zero_share=0.7, single_share=0.5)
+@pytest.mark.parametrize(
+    "shares", [{"zero_share": 0.7, "single_share": 0.5}, {"turn_share": -0.1, "single_share": 0.5}]
+)
+def test_shares_that_are_no_probabilities_are_refused(shares):
+    """Above 1 together, or one below 0, though their sum is not."""
+    with pytest.raises(ValueError, match=r"single_share must be at least 0 and at most 1 together, got \("):
+        Velocity(1, 10.0, **RANGES, **shares)

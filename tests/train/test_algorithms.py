@@ -482,3 +482,31 @@ def test_an_ensemble_keeps_its_members_apart():
     values = Ensemble(members)(observation, action)
     for value, member in zip(values, members, strict=True):
         torch.testing.assert_close(value, member(observation, action)[:, 0])
+
+
+@pytest.mark.parametrize(("kind", "learn"), ALGORITHMS)
+def test_the_policy_that_is_kept_has_an_average_of_the_weights(kind, learn):
+    """By hand after every update; it acts and is bundled, the latest weights explore, and no gradient reaches it."""
+    env = Pendulum(4)
+    algorithm = kind(env, seed=1, averaging=0.8, **learn)
+    wanted = [value.detach().clone() for value in algorithm.network.parameters()]
+    count = algorithm.count_update
+
+    def counted():
+        count()
+        for mean, latest in zip(wanted, algorithm.network.parameters(), strict=True):
+            mean.copy_(0.8 * mean + 0.2 * latest.detach())
+
+    algorithm.count_update = counted
+    for _ in range(3):
+        algorithm.follow()
+        algorithm.take(rollout(env, algorithm, 16))
+        algorithm.learn()
+    assert algorithm.updates > 5
+    assert not any(value.requires_grad for value in algorithm.average.parameters())
+    torch.testing.assert_close([*algorithm.average.parameters()], wanted)
+    seen = torch.randn(5, 3, generator=generator())
+    mean = algorithm.average(algorithm.normaliser(seen))[0].tanh()
+    torch.testing.assert_close(algorithm.act(seen), mean)
+    torch.testing.assert_close(algorithm.bundle(MANIFEST).act(seen), mean)
+    assert not torch.allclose(algorithm.network(algorithm.normaliser(seen))[0].tanh(), mean)
