@@ -47,7 +47,7 @@ def episode(task: str, policy: str, seed: int = 501) -> Rollout:
 
 def still(log: Rollout, scene: str, times: Sequence[float]) -> Image.Image:
     """What a log tells of a robot at some times [s]."""
-    place = build_scene(scene)
+    place = build_scene(scene, "op3")
     states = states_of_log(log, place, log.metadata.rate or 125.0)
     rows = [int(np.searchsorted(log.array("time")[:, 0], time)) for time in times]
     return strip(draw_frames(place.compile(), states[rows]))
@@ -56,7 +56,7 @@ def still(log: Rollout, scene: str, times: Sequence[float]) -> Image.Image:
 @picture
 def poses() -> Image.Image:
     """The OP3 in three poses."""
-    scene = build_scene("floor")
+    scene = build_scene("floor", "op3")
     return strip(
         draw_frames(
             scene.compile(),
@@ -173,7 +173,9 @@ def worlds() -> Image.Image:
     """One squat, commanded alike, of four hidden robots."""
     figure, axes = panels(2, 1, 4.0, sharex=True)
     for name in ("default", "eta_060", "eta_080", "robot_5"):
-        log = StandIn(HiddenWorld.find(name), "floor", seed=0).play(squat(duration=4.0), p_gain=6.0, d_gain=0.1)
+        log = StandIn(HiddenWorld.find(name), build_scene("floor", "op3"), seed=0).play(
+            squat(duration=4.0), p_gain=6.0, d_gain=0.1
+        )
         time = log.array("time")[:, 0]
         error = np.degrees(log.column("l_knee.position") - log.column("l_knee.target"))
         axes[0].plot(time, error, label=name)
@@ -226,7 +228,7 @@ def bus() -> Image.Image:
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "frames.txt"
-        robot = connect("emulated", mount="stand", record=file)
+        robot = connect("emulated", mount="stand", record=file, robot="op3")
         run(robot, lambda: HoldPose(pose("stand", "op3"), duration=0.5, log="run"), Plan(folder=Path(folder) / "run"))
         frames = read_frames(file)
     middle = frames[len(frames) // 2].time
@@ -249,7 +251,7 @@ def bricks() -> Image.Image:
     """The grounds that the walk is judged on, with the robot put down among their bricks."""
     frames = []
     for name in ("bricks_a", "bricks_b", "bricks_c", "bricks_d"):
-        scene = build_scene(name)
+        scene = build_scene(name, "op3")
         state = scene.initial_qpos(pose("stand", "op3"))
         state[0], state[2] = state[0] + 0.8, state[2] + 0.005
         frames.append(draw_frames(scene.compile(), state[None])[0])

@@ -17,7 +17,7 @@ class PartDistances:
     """
 
     def __init__(self) -> None:
-        self.model = model = build_scene("floor").compile(visual=False)
+        self.model = model = build_scene("floor", "op3").compile(visual=False)
         self.data = mujoco.MjData(model)
         parts = [g for g in range(model.ngeom) if model.geom_bodyid[g]]
         body, parent = model.geom_bodyid, model.body_parentid

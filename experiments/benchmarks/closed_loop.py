@@ -57,7 +57,7 @@ def arm_suite(seed: int) -> list[Excitation]:
     return runs
 
 
-SETTINGS["arm3"] = Setting(partial(build_scene, "stand", joints=ARM), arm_suite, arm_suite)
+SETTINGS["arm3"] = Setting(partial(build_scene, "stand", "op3", joints=ARM), arm_suite, arm_suite)
 
 PLACES = {
     "arm3": {"strong": "l_sho_pitch", "loose": "l_el", "end": "l_el", "link": ("l_el",)},

@@ -20,7 +20,9 @@ from op3.deploy.registers import OPEN_CR_ID, POSITION_ZERO
 from op3.report import machine
 from op3.robot import load_robot
 from op3.robot.register_units import CURRENT_UNIT, POSITION_UNIT, VELOCITY_UNIT
+from op3.scenes import build_scene
 from op3.sim import load_model
+from op3.stand_in import HiddenWorld
 
 TICK = 0.008
 ROUNDS = 5
@@ -79,7 +81,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("seconds", type=float, nargs="?", default=2.0, help="of the robot's clock in one round")
     seconds = parser.parse_args().seconds
-    made: dict[str, Physics] = {"op3/sim": SimPhysics(load_model("paper")), "op3/stand_in": StandInPhysics()}
+    made: dict[str, Physics] = {
+        "op3/sim": SimPhysics(load_model("paper"), build_scene("floor", "op3")),
+        "op3/stand_in": StandInPhysics(HiddenWorld(), build_scene("floor", "op3")),
+    }
     computers = {name: Computer(EmulatedRobot(physics)) for name, physics in made.items()}
     rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in made}
     for _ in range(ROUNDS):

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 def held_model(joints: tuple[str, ...], last_mass: float = 0.0) -> mujoco.MjModel:
     """Limbs of the robot in the stand, without armature, with so much more mass of the last link [kg]."""
-    model = build_scene("stand", joints=joints).compile()
+    model = build_scene("stand", "op3", joints=joints).compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     model.dof_armature[:] = 0
     model.body_mass[model.nbody - 1] += last_mass

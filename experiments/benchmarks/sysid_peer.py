@@ -52,7 +52,7 @@ class Peer:
         if log.metadata.mount != "floor" or np.ptp(log.array("command/p_gain")) > 0:
             raise ValueError("the toolbox's actuator has one gain for all times and joints, and the robot on the floor")
         self.log = log
-        scene = build_scene("floor")
+        scene = build_scene("floor", "op3")
         self.spec = mujoco.MjSpec.from_string(scene.mjcf_model.to_xml_string(), assets=scene.mjcf_model.get_assets())
         self.spec.option.timestep = 0.001
         self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -116,7 +116,7 @@ def load_runner(cfg: DictConfig) -> PolicyRunner | None:
     """The policy, None where there is none."""
     if cfg.policy is None:
         return None
-    return PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle, cfg.robot, cfg.limits.p_gain)
+    return PolicyRunner(PolicyBundle.load(cfg.policy), cfg.cycle, robot=cfg.robot, p_gain=cfg.limits.p_gain)
 
 
 def commands_of(cfg: DictConfig, runner: PolicyRunner | None) -> CommandSource | None:

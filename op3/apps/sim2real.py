@@ -141,7 +141,7 @@ def draw(log: Rollout, task: str, path: Path) -> Path | None:
     """A film of an episode on the robot, once; None where MuJoCo cannot render here."""
     if path.exists():
         return path
-    scene = build_scene(find_task(task).scene)
+    scene = build_scene(find_task(task).scene, log.robot)
     walks = find_task(task).cycle is not None
     return film(scene, states_of_log(log, scene, FILM_RATE), path, FILM_RATE, follow=walks)
 

@@ -73,7 +73,7 @@ class Connection:
 def connect(
     port: str,
     *,
-    robot: str | Robot = DEFAULT,
+    robot: str | Robot,
     mount: str = "floor",
     confirm: bool = True,
     calibration: str | Path | None = None,
@@ -103,7 +103,7 @@ def connect(
         from op3.deploy.emulator import VirtualPort
 
         scene = emulation.pop("scene", None) or mount
-        emulated, hands, identity = emulate(robot=known, scene=scene, **emulation)
+        emulated, hands, identity = emulate(known, scene=scene, **emulation)
         bus = Bus(VirtualPort(emulated), emulated.clock, known, calibration=offsets)
         seed = emulation.get("seed", 0)
         return Connection(bus, hands, "emulated", mount, {"world": identity}, seed, emulated)
@@ -263,7 +263,7 @@ def calibrate(connection: Connection, path: str | Path, *, pose_name: str = "zer
         silent = ", ".join(bus.joints[i] for i in np.flatnonzero(counts == 0))
         report(f"no answer from {silent}; check cables, and that the servos' supply is on")
         return ExitCode.START_CHECK
-    calibration = Calibration(held - sums / counts, bus.robot)
+    calibration = Calibration(held - sums / counts, robot=bus.robot)
     calibration.save(path)
     worst = int(np.abs(calibration.offset).argmax())
     report(f"{path}: offsets up to {calibration.offset[worst]:+.4f} rad ({bus.joints[worst]})")

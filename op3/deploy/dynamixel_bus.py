@@ -27,7 +27,7 @@ from op3.deploy.registers import DYNAMIXEL_X, FIRST_INDIRECT_ADDRESS, OPEN_CR, O
 from op3.deploy.robot_state import BLOCKS, BOARD_ADDRESS, BOARD_LENGTH, POINTERS, Block, Calibration, RobotState
 from op3.deploy.serial_port import SerialPort
 from op3.deploy.ticker import Clock
-from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot import Robot, load_robot
 
 BAUD_RATE = 2_000_000
 """Of the bus [bit/s]."""
@@ -79,9 +79,7 @@ class Bus:
         ValueError: if the robot has servos that this bus does not know.
     """
 
-    def __init__(
-        self, port: Any, clock: Clock, robot: str | Robot = DEFAULT, *, calibration: Calibration | None = None
-    ) -> None:
+    def __init__(self, port: Any, clock: Clock, robot: str | Robot, *, calibration: Calibration | None = None) -> None:
         # The SDK waits for two of these beyond the time on the wire; its 16 ms are those of an untuned adapter.
         dynamixel_sdk.port_handler.LATENCY_TIMER = 1
         self.port, self.clock, self.port_name = port, clock, str(getattr(port, "port_name", "port"))

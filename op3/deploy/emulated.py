@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.emulator import EmulatedRobot, Faults, LineTiming, Physics, SimPhysics, StandInPhysics
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
-from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot import Robot, load_robot
 from op3.scenes import BoardMotion, Waves, WeightSchedule, build_scene
 from op3.scenes.scene import check_scene
 from op3.sim import model_for
@@ -48,7 +48,7 @@ class Place:
         task = find_task(task)
         events = task.terms("events")
         tiles = Terrain(**events["terrain"]).heights(seed) if "terrain" in events else None
-        return cls(task.scene, board_motion(events["board"]["motion"], seed) if "board" in events else None, tiles)
+        return cls(task.scene, board_motion(seed=seed, **events["board"]) if "board" in events else None, tiles)
 
     @property
     def waiting(self) -> BoardMotion | WeightSchedule | None:
@@ -103,7 +103,7 @@ class Hands(Operator):
 
 
 def physics_maker(
-    robot: str | Robot = DEFAULT,
+    robot: str | Robot,
     *,
     world: str = "default",
     world_seed: int = 0,
@@ -126,8 +126,8 @@ def physics_maker(
 
 
 def emulate(
+    robot: str | Robot,
     *,
-    robot: str | Robot = DEFAULT,
     world: str = "default",
     world_seed: int | None = None,
     model: str | Path | None = None,

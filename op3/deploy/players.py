@@ -17,7 +17,7 @@ from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.session import SessionOutcome
 from op3.motions import Motion
 from op3.policy import PolicyBundle
-from op3.robot import DEFAULT, Robot
+from op3.robot import Robot
 from op3.rollout import Rollout
 from op3.tasks.task import Task, find_task
 
@@ -44,7 +44,7 @@ class Player:
         mount: str = "floor",
         *,
         folder: str | Path,
-        robot: str | Robot = DEFAULT,
+        robot: str | Robot,
         limits: Limits | None = None,
         calibration: str | Path | None = None,
         confirm: bool = True,
@@ -93,7 +93,7 @@ class Player:
             Stop: if the policy did not come to command the robot.
         """
         task = None if task is None else find_task(task)
-        runner = PolicyRunner(bundle, cycle, self._robot, self._limits.p_gain)
+        runner = PolicyRunner(bundle, cycle, robot=self._robot, p_gain=self._limits.p_gain)
         return self._record(
             lambda: FollowPolicy(runner, duration),
             recording,

@@ -21,7 +21,7 @@ from op3.policy.actions import GAIN_HIGH
 from op3.policy.heading import HeadingReference
 from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
-from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot import Robot, load_robot
 from op3.rollout import Rollout
 from op3.tasks.evaluation import policy_rows
 from op3.tasks.task import POLICY_PERIOD, find_task, task_names
@@ -50,7 +50,8 @@ class PolicyRunner:
         self,
         bundle: PolicyBundle,
         cycle: float | None = None,
-        robot: str | Robot = DEFAULT,
+        *,
+        robot: str | Robot,
         p_gain: float = GAIN_HIGH,
     ):
         manifest = bundle.manifest

@@ -19,7 +19,7 @@ from op3.deploy.registers import (
     POSITION_ZERO,
     Units,
 )
-from op3.robot import DEFAULT, Robot, load_robot
+from op3.robot import Robot, load_robot
 from op3.robot.register_units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT, VOLTAGE_UNIT
 
 Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ class Calibration:
     LARGEST = 0.3
     """A larger offset [rad] means a horn mounted on the wrong tooth, not a calibration."""
 
-    def __init__(self, offset: ArrayLike | None = None, robot: str | Robot = DEFAULT):
+    def __init__(self, offset: ArrayLike | None = None, *, robot: str | Robot):
         self.robot = load_robot(robot)
         joints = self.robot.joints
         self.offset = np.zeros(len(joints)) if offset is None else np.asarray(offset, dtype=float)
@@ -202,7 +202,7 @@ class Calibration:
             )
 
     @classmethod
-    def load(cls, path: str | Path, robot: str | Robot = DEFAULT) -> Calibration:
+    def load(cls, path: str | Path, robot: str | Robot) -> Calibration:
         """Read ``offset_rad: {<joint>: <rad>}``; joints that are not named have no offset."""
         path, known = Path(path), load_robot(robot)
         if not path.is_file():
@@ -211,7 +211,7 @@ class Calibration:
         try:
             offsets = CalibrationFile(**content).offset_rad
             known.indices(offsets)
-            return cls([float(offsets.get(name, 0.0)) for name in known.joints], known)
+            return cls([float(offsets.get(name, 0.0)) for name in known.joints], robot=known)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 

@@ -22,7 +22,7 @@ from op3.common.assets import asset_path
 from op3.common.settings import imported, nearest
 from op3.robot.entity import RobotEntity
 from op3.robot.kinematics import level_soles, quaternion, rotation_matrix, standing_height
-from op3.robot.robot import DEFAULT, Robot, checked_angles, exclude_neighbours, load_robot
+from op3.robot.robot import Robot, checked_angles, exclude_neighbours, load_robot
 from op3.scenes.board import AXIS_HEIGHT, TILT, TOP_HEIGHT
 from op3.scenes.surfaces import add_bricks, add_tiles
 
@@ -136,7 +136,7 @@ class Scene:
         if roll or pitch:
             raise ValueError(
                 f"the base of scene {self.name!r} is fixed, so it has no roll and pitch to start from; "
-                "tilt the stand with build_scene('stand', tilt_roll=..., tilt_pitch=...)"
+                "tilt the stand with build_scene('stand', robot, tilt_roll=..., tilt_pitch=...)"
             )
         return every.copy()
 
@@ -163,11 +163,11 @@ class Scene:
 
 def build_scene(
     name: str,
+    robot: str | Robot,
     *,
     tilt_roll: float = 0.0,
     tilt_pitch: float = 0.0,
     joints: Sequence[str] | None = None,
-    robot: str | Robot = DEFAULT,
 ) -> Scene:
     """A new scene.
 
@@ -179,11 +179,11 @@ def build_scene(
             robot whose heights `place_tiles` sets. Or a scene of your own: the path of an MJCF file that is laid on
             the floor, or the dotted name of a function of a robot that returns such a `dm_control.mjcf.RootElement`, or
             a `Scene`. Bodies in it may have joints, but no free ones.
+        robot: a robot, its name, or the path of its file; on the stand any, elsewhere one with soles.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
         joints: on the stand, limbs without any of these are left away: with a fixed base the others do not feel them.
             None: the whole robot.
-        robot: a robot, its name, or the path of its file; on the stand any, elsewhere one with soles.
     """
     known = load_robot(robot)
     check_scene(name, known)

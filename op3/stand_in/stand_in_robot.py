@@ -23,7 +23,6 @@ from op3.scenes import (
     WeightDrive,
     WeightSchedule,
     board_drive,
-    build_scene,
     place_tiles,
     tile_ids,
 )
@@ -49,15 +48,15 @@ class StandIn:
 
     Args:
         world: the truth.
-        scene: a name from `op3.scenes.SCENES`, or a scene.
+        scene: with the robot, without servos attached.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
     """
 
-    def __init__(self, world: HiddenWorld, scene: str | Scene = "floor", *, seed: int = 0):
+    def __init__(self, world: HiddenWorld, scene: Scene, *, seed: int = 0):
         self._world, self.hidden = world, world.hidden
         self.seed = _whole("seed", seed)
-        self.scene = build_scene(scene) if isinstance(scene, str) else scene
+        self.scene = scene
         self.joints: tuple[str, ...] = tuple(str(joint.name) for joint in self.scene.joints)
         self.known = self.scene.robot_file
         own = self.known.indices(self.joints)

@@ -140,10 +140,10 @@ def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Exc
 
 SETTINGS: dict[str, Setting] = {
     "op3": Setting(
-        partial(build_scene, "stand"), partial(robot_suite, duration=6.0), partial(robot_walking, duration=6.0)
+        partial(build_scene, "stand", "op3"), partial(robot_suite, duration=6.0), partial(robot_walking, duration=6.0)
     ),
-    "floor": Setting(partial(build_scene, "floor"), floor_suite, floor_walking, 1.5),
-    "leg": Setting(partial(build_scene, "stand", joints=LEG_JOINTS), leg_suite, leg_walking),
+    "floor": Setting(partial(build_scene, "floor", "op3"), floor_suite, floor_walking, 1.5),
+    "leg": Setting(partial(build_scene, "stand", "op3", joints=LEG_JOINTS), leg_suite, leg_walking),
     "pendulum": Setting(
         build_bench,
         joint_suite,
@@ -151,7 +151,7 @@ SETTINGS: dict[str, Setting] = {
         metadata={name: one.default for name, one in load_robot("bench").file.parameters.items()},
     ),
     "arm": Setting(
-        partial(build_scene, "stand", robot="arm"),
+        partial(build_scene, "stand", "arm"),
         partial(joint_suite, robot="arm"),
         partial(joint_suite, robot="arm", poor=True),
     ),

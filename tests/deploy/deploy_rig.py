@@ -172,4 +172,4 @@ def make_rig(
     )
     if prepare is not None:
         prepare(robot)
-    return Rig(physics, robot, Bus(VirtualPort(robot), robot.clock), file)
+    return Rig(physics, robot, Bus(VirtualPort(robot), robot.clock, "op3"), file)

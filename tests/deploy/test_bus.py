@@ -119,7 +119,7 @@ def test_velocity_sign_and_unit(rig):
 
 def test_calibration_shifts_angles(rig):
     """An offset of 0.1 rad is added to the servo's angle."""
-    rig.bus.calibration = Calibration(np.full(20, 0.1))
+    rig.bus.calibration = Calibration(np.full(20, 0.1), robot="op3")
     rig.writer.prepare_block()
     assert np.allclose(rig.bus.read_state().position, pose("stand", "op3") + 0.1, atol=1e-3)
 
@@ -127,17 +127,17 @@ def test_calibration_shifts_angles(rig):
 def test_calibration_file_round_trip(tmp_path):
     """What is saved is read back; a joint that does not exist and an offset of a tooth are refused by name."""
     offset = np.linspace(-0.2, 0.2, 20)
-    path = Calibration(offset).save(tmp_path / "calibration.yaml")
-    assert np.allclose(Calibration.load(path).offset, offset, atol=1e-6)
+    path = Calibration(offset, robot="op3").save(tmp_path / "calibration.yaml")
+    assert np.allclose(Calibration.load(path, "op3").offset, offset, atol=1e-6)
     path.write_text("offset_rad: {l_kneee: 0.1}")
     with pytest.raises(ValueError, match="unknown joint 'l_kneee' of op3; the nearest is 'l_knee'"):
-        Calibration.load(path)
+        Calibration.load(path, "op3")
     path.write_text("offset_rad: {l_knee: 0.9}")
     with pytest.raises(ValueError, match=r"l_knee is off by 0\.900 rad"):
-        Calibration.load(path)
+        Calibration.load(path, "op3")
     path.write_text("")
     with pytest.raises(ValueError, match=f"^{path}: the file is empty"):
-        Calibration.load(path)
+        Calibration.load(path, "op3")
 
 
 def test_the_alert_bit_is_seen(rig):

@@ -21,7 +21,7 @@ EITHER = pytest.mark.parametrize("source", SOURCES)
 @EITHER
 def test_the_board_tilts_when_the_policy_begins(source, tmp_path):
     """Level for a second, then the board takes the trunk along; the log is judged by R_eval as it is."""
-    player = Player(folder=tmp_path, confirm=False, seed=3, report=lambda _: None, **source)
+    player = Player(folder=tmp_path, confirm=False, seed=3, report=lambda _: None, robot="op3", **source)
     log = player.run_policy(holding_bundle("balance", 5.5), 2.6, task="balance_eval", recording="a")
     pitch = log.array("imu/orientation")[:, 1]
     assert np.ptp(pitch[:100]) < np.deg2rad(1.5)
@@ -36,7 +36,7 @@ def test_the_board_tilts_when_the_policy_begins(source, tmp_path):
 @EITHER
 def test_a_walk_is_measured(source, tmp_path):
     """A policy that stands has travelled nothing, and R_eval of the walk says so."""
-    player = Player(folder=tmp_path, confirm=False, seed=1, report=lambda _: None, **source)
+    player = Player(folder=tmp_path, confirm=False, seed=1, report=lambda _: None, robot="op3", **source)
     log = player.run_policy(holding_bundle("walk", 5.5), 1.0, task="walk_bricks_a", cycle=1.0, recording="a")
     assert 0.0 <= log.metadata.travelled_distance < 0.01
     assert evaluation_return(log) < 0.8 * 31
@@ -46,7 +46,7 @@ def test_a_walk_is_measured(source, tmp_path):
 def test_the_bus_costs_the_shipped_policy_little(tmp_path):
     """Through the whole emulated bus the balancing policy reaches its return in the plain environment within 5 %."""
     policy = PolicyBundle.load(asset_path("policies/balance/manifest.yaml").parent)
-    player = Player(folder=tmp_path, confirm=False, seed=0, report=lambda _: None, model="paper")
+    player = Player(folder=tmp_path, confirm=False, seed=0, report=lambda _: None, model="paper", robot="op3")
     logs = [player.run_policy(policy, 10.0, task="balance_eval", recording=str(number)) for number in range(3)]
     through = np.mean([evaluation_return(log) for log in logs])
     plain = float(ReturnsBench(policy, load_model("paper"), "balance_eval", episodes=6).run().returns.mean())
@@ -57,7 +57,7 @@ def test_the_bus_costs_the_shipped_policy_little(tmp_path):
 def test_a_robot_is_caught_when_its_policy_ends(tmp_path, name, task, duration):
     """It cannot stop within a step, nor the board; on the way to the end pose it hangs and does not fall."""
     policy = PolicyBundle.load(asset_path(f"policies/{name}/manifest.yaml").parent)
-    player = Player(folder=tmp_path, confirm=False, seed=1, report=lambda _: None)
+    player = Player(folder=tmp_path, confirm=False, seed=1, report=lambda _: None, robot="op3")
     log = player.run_policy(policy, duration, task=task, recording="a")
     assert not log.metadata.fallen
     assert "afterwards" not in log.metadata.extra

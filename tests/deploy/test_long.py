@@ -47,8 +47,8 @@ def test_ten_minutes_of_balancing_with_lost_reads(tmp_path):
     carry for ever has sunk down and fallen by then.
     """
     policy = PolicyBundle.load(asset_path("policies/balance/manifest.yaml").parent)
-    robot = connect("emulated", mount="floor", model="paper", faults=Faults(lost=0.0026))
-    runner = PolicyRunner(policy)
+    robot = connect("emulated", mount="floor", model="paper", faults=Faults(lost=0.0026), robot="op3")
+    runner = PolicyRunner(policy, robot="op3")
     outcome = run(robot, lambda: FollowPolicy(runner, 600.0), Plan(folder=tmp_path), report=lambda line: None)
     assert outcome.code == ExitCode.OK, outcome.reason
     log = outcome.logs["run"]

@@ -73,7 +73,7 @@ def test_a_whole_run(tmp_path):
 def test_dry_run(tmp_path):
     """All of the loop and the policy, and not one torque enable or goal current on the wire."""
     rig = make_rig(tmp_path)
-    runner = PolicyRunner(hold_policy(feedback=0.2))
+    runner = PolicyRunner(hold_policy(feedback=0.2), robot="op3")
     plan = Plan(dry=True, folder=tmp_path / "logs")
     outcome = run(connected(rig), lambda: FollowPolicy(runner, 1.0), plan, report=rig.lines.append)
     assert outcome.code == ExitCode.OK
@@ -116,7 +116,7 @@ def test_calibrate(tmp_path):
     rig.robot.switch_on()
     path = tmp_path / "calibration.yaml"
     assert calibrate(connected(rig), path, report=rig.lines.append) == ExitCode.OK
-    rig.bus.calibration = Calibration.load(path)
+    rig.bus.calibration = Calibration.load(path, "op3")
     assert np.abs(rig.bus.read_state().position).max() < 1e-3
     assert not {packet.instruction for _, packet in rig.packets()} & {Instruction.WRITE, Instruction.SYNC_WRITE}
 
@@ -124,9 +124,9 @@ def test_calibrate(tmp_path):
 def test_a_jig_holds_the_emulated_robot_in_any_pose(tmp_path):
     """Without torque bent knees would give way: held, its zeros are within the offsets that are accepted."""
     held = {"joint_position": pose("stand", "op3"), "powered": True, "jig": True}
-    connection = connect("emulated", mount="stand", **held)
+    connection = connect("emulated", mount="stand", robot="op3", **held)
     assert calibrate(connection, tmp_path / "c.yaml", pose_name="stand", report=lambda line: None) == ExitCode.OK
-    assert np.abs(Calibration.load(tmp_path / "c.yaml").offset).max() < 0.1
+    assert np.abs(Calibration.load(tmp_path / "c.yaml", "op3").offset).max() < 0.1
 
 
 def test_calibrate_refuses_a_robot_with_torque(tmp_path):
@@ -151,9 +151,9 @@ def test_a_motion_out_of_bounds_is_refused_before_anything():
 def test_a_port_that_is_not_there():
     """The device that cannot be opened is named."""
     with pytest.raises(Unplugged, match=r"NOWHERE cannot be opened \(No such file or directory\); plug"):
-        connect("/dev/ttyNOWHERE")
+        connect("/dev/ttyNOWHERE", robot="op3")
     with pytest.raises(ValueError, match="mount must be floor or stand"):
-        connect("/dev/ttyNOWHERE", mount="ceiling")
+        connect("/dev/ttyNOWHERE", mount="ceiling", robot="op3")
 
 
 class Window(io.StringIO):
@@ -223,7 +223,9 @@ def test_a_stalled_terminal_does_not_hold_up_the_loop(tmp_path):
 @pytest.mark.parametrize("options", [{"world": "default"}, {"model": "paper"}], ids=["stand-in", "model"])
 def test_recording_on_the_emulated_robot(tmp_path, options):
     """Held in the air, put down, and recorded standing on the floor: it begins at rest and upright, with the gains."""
-    player = Player("emulated", "floor", folder=tmp_path / "ticks", seed=2, report=lambda line: None, **options)
+    player = Player(
+        "emulated", "floor", folder=tmp_path / "ticks", seed=2, report=lambda line: None, robot="op3", **options
+    )
     motion = squat(duration=0.4)
     log = player.play(motion, 5.0, 0.1, recording="squat-0").check()
     assert (log.metadata.robot, log.metadata.recording, log.metadata.seed) == ("emulated", "squat-0", 2)
@@ -242,6 +244,7 @@ def test_a_run_that_ends_early_is_not_a_recording(tmp_path):
         folder=tmp_path,
         report=lambda line: None,
         settings={**USUAL_SETTINGS, "return_delay_time": 9},
+        robot="op3",
     )
     with pytest.raises(Stop, match="return delay") as stop:
         player.play(squat(duration=0.1))

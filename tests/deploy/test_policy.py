@@ -22,7 +22,7 @@ ORDER = ("joint_position", "joint_velocity", "orientation", "angular_velocity")
 def test_observation_is_that_of_training(task):
     """Fed with the sensors' readings of a training environment, the robot's observation is that environment's."""
     env = make_env(task, num_envs=1, seed=3, num_threads=1)
-    runner = PolicyRunner(hold_policy(task, feedback=0.3))
+    runner = PolicyRunner(hold_policy(task, feedback=0.3), robot="op3")
     state = env.reset()
     worst = 0.0
     for step in range(25):
@@ -40,7 +40,7 @@ def test_observation_is_that_of_training(task):
 
 def test_yaw_counts_from_the_beginning():
     """The heading at the first step is zero, and passing half a turn does not jump."""
-    runner = PolicyRunner(hold_policy())
+    runner = PolicyRunner(hold_policy(), robot="op3")
     rest = (np.zeros(20), np.zeros(20))
     first = runner.observe(*rest, [0.0, 0.0, 3.10], np.zeros(3), 0)
     second = runner.observe(*rest, [0.0, 0.0, -3.10], np.zeros(3), 1)
@@ -51,7 +51,7 @@ def test_yaw_counts_from_the_beginning():
 
 def run_policy(tmp_path, bundle, duration=1.0, **options):
     rig = make_rig(tmp_path, **options)
-    runner = PolicyRunner(bundle)
+    runner = PolicyRunner(bundle, robot="op3")
     outcome = rig.run([GainRamp(), FollowPolicy(runner, duration)], folder=tmp_path / "logs")
     return rig, outcome
 
@@ -63,7 +63,7 @@ def test_replay_gives_the_same_actions(tmp_path, faults):
     _, outcome = run_policy(tmp_path, bundle, 2.0, faults=Faults(lost=faults))
     assert outcome.code == ExitCode.OK
     log = Rollout.load(tmp_path / "logs" / "run")
-    result = replay_policy(log, PolicyRunner(bundle))
+    result = replay_policy(log, PolicyRunner(bundle, robot="op3"))
     assert result.ok
     assert result.steps in (62, 63)
     assert result.action_difference < 1e-12
@@ -74,12 +74,12 @@ def test_replay_tells_another_policy(tmp_path):
     """Another policy's actions are told from step 0 on."""
     run_policy(tmp_path, hold_policy(feedback=0.2))
     log = Rollout.load(tmp_path / "logs" / "run")
-    result = replay_policy(log, PolicyRunner(hold_policy(feedback=0.2, seed=1)))
+    result = replay_policy(log, PolicyRunner(hold_policy(feedback=0.2, seed=1), robot="op3"))
     assert not result.ok
     assert result.first == 0
     assert "other actions from step 0 on" in str(result)
     with pytest.raises(ValueError, match="observations have 124 numbers and those of this policy 256"):
-        replay_policy(log, PolicyRunner(hold_policy("walk")))
+        replay_policy(log, PolicyRunner(hold_policy("walk"), robot="op3"))
 
 
 def test_replay_refuses_what_it_cannot_replay(tmp_path):
@@ -87,7 +87,7 @@ def test_replay_refuses_what_it_cannot_replay(tmp_path):
     rig = make_rig(tmp_path)
     log = rig.run(duration=0.2, folder=tmp_path / "logs").logs["run"]
     with pytest.raises(ValueError, match="no policy/action"):
-        replay_policy(log, PolicyRunner(hold_policy()))
+        replay_policy(log, PolicyRunner(hold_policy(), robot="op3"))
 
 
 def test_a_policy_that_breaks_is_refused(tmp_path):
@@ -112,18 +112,18 @@ def test_a_policy_for_another_loop_is_refused():
     bundle = hold_policy()
     bundle.manifest = dataclasses.replace(bundle.manifest, policy_rate=62.5)
     with pytest.raises(ValueError, match=r"field policy_rate of its manifest is 62\.5 Hz, expected 31\.25 Hz"):
-        PolicyRunner(bundle)
+        PolicyRunner(bundle, robot="op3")
     bundle.manifest = dataclasses.replace(hold_policy().manifest, layout={"temperature": 20}, observations={})
     with pytest.raises(ValueError, match="field layout"):
-        PolicyRunner(bundle)
+        PolicyRunner(bundle, robot="op3")
     bundle.manifest = dataclasses.replace(hold_policy("walk").manifest, task="hop")
     with pytest.raises(ValueError, match="give cycle"):
-        PolicyRunner(bundle)
+        PolicyRunner(bundle, robot="op3")
     bundle = hold_policy()
     stiff = dataclasses.replace(bundle.manifest.action_map, gain_high=50.0)
     bundle.manifest = dataclasses.replace(bundle.manifest, action_map=stiff)
     with pytest.raises(ValueError, match=r"field gain_high of the policy's manifest is 50 A/rad.*limits\.p_gain"):
-        PolicyRunner(bundle)
-    PolicyRunner(bundle, p_gain=50.0)
+        PolicyRunner(bundle, robot="op3")
+    PolicyRunner(bundle, p_gain=50.0, robot="op3")
     with pytest.raises(ValueError, match="was trained for the robot op3, and this one is arm; give a policy"):
         PolicyRunner(hold_policy(), robot="arm")

@@ -27,7 +27,7 @@ def terminal():
 def test_a_hung_adapter_does_not_hold_up_switching_off(terminal):
     """Where the adapter takes no more bytes, `release` gives up after its patience."""
     _, path = terminal
-    bus = Bus(SerialPort(path), MonotonicClock())
+    bus = Bus(SerialPort(path), MonotonicClock(), "op3")
     safety = Safety(bus, Limits(), report=lambda _: None)
 
     def fill():
@@ -46,12 +46,12 @@ def test_a_hung_adapter_does_not_hold_up_switching_off(terminal):
 def test_one_program_at_a_time(terminal):
     """A second program that opens the port is refused; when the first one has ended it may."""
     _, path = terminal
-    first = Bus(SerialPort(path), MonotonicClock())
+    first = Bus(SerialPort(path), MonotonicClock(), "op3")
     with pytest.raises(Unplugged, match="another program has it open"):
-        Bus(SerialPort(path), MonotonicClock())
+        Bus(SerialPort(path), MonotonicClock(), "op3")
     first.open()  # again, as after a pulled plug
     first.close()
-    Bus(SerialPort(path), MonotonicClock()).close()
+    Bus(SerialPort(path), MonotonicClock(), "op3").close()
 
 
 def test_timeouts_do_not_follow_the_computers_clock(monkeypatch):

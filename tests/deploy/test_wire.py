@@ -77,7 +77,7 @@ def test_goal_currents_are_the_pd_of_the_bytes_just_read(tmp_path):
     """Kp (q* - q) - Kd dq in units of 2.69 mA, from the counts in the same tick's answer, servo by servo."""
     rig = make_rig(tmp_path)
     outcome = rig.run(
-        [GainRamp(), FollowPolicy(PolicyRunner(hold_policy(feedback=0.05)), 1.0)], folder=tmp_path / "logs"
+        [GainRamp(), FollowPolicy(PolicyRunner(hold_policy(feedback=0.05), robot="op3"), 1.0)], folder=tmp_path / "logs"
     )
     log = outcome.logs["run"]
     target, kp, kd = (log.array(f"command/{name}") for name in ("position", "p_gain", "d_gain"))

@@ -22,7 +22,7 @@ def log():
 
 def test_joints_and_trunk_are_those_of_the_log(log):
     """At 12.5 Hz every tenth row is a frame; the trunk's frame leans as the IMU says."""
-    scene = build_scene("floor")
+    scene = build_scene("floor", "op3")
     states = states_of_log(log, scene, 12.5)
     assert len(states) == 13
     np.testing.assert_allclose(states[:, 7:27], log.array("joint/position")[::10], atol=1e-12)
@@ -35,8 +35,8 @@ def test_joints_and_trunk_are_those_of_the_log(log):
 
 def test_the_soles_stay_where_they_began_and_a_board_lies_under_them(log):
     """The middle of the soles does not move; a robot that stands flat has a level board under it."""
-    scene = build_scene("board")
-    model, states = scene.compile(), states_of_log(log, build_scene("board"), 12.5)
+    scene = build_scene("board", "op3")
+    model, states = scene.compile(), states_of_log(log, build_scene("board", "op3"), 12.5)
     data = mujoco.MjData(model)
     soles = [i for i in range(model.nsite) if "sole" in model.site(i).name]
     middles = []

@@ -14,7 +14,7 @@ from op3.scenes import build_scene
 
 @pytest.fixture(scope="module")
 def scene():
-    built = build_scene("floor")
+    built = build_scene("floor", "op3")
     return built, np.stack([built.initial_qpos(pose(name, "op3")) for name in ("stand", "squat_low")])
 
 

@@ -77,7 +77,7 @@ def test_friction_between_parts_is_their_own(distances):
     assert len(between_parts) > 0
     assert (between_parts == 0.3).all()
     data = mujoco.MjData(distances.model)
-    data.qpos[:] = build_scene("floor").initial_qpos(pose("stand", "op3"))
+    data.qpos[:] = build_scene("floor", "op3").initial_qpos(pose("stand", "op3"))
     data.qpos[2] -= 1e-4
     mujoco.mj_forward(distances.model, data)
     assert data.ncon > 0
@@ -86,7 +86,7 @@ def test_friction_between_parts_is_their_own(distances):
 
 def pressed(distances: PartDistances, collide: bool) -> np.ndarray:
     """Distance of the legs [m], step by step, while both hip rolls press inwards with stall torque in the air."""
-    model = build_scene("floor").compile(visual=False)
+    model = build_scene("floor", "op3").compile(visual=False)
     model.opt.gravity[:] = 0.0
     model.dof_armature[6:], model.dof_damping[6:] = ARMATURE, 0.1
     if not collide:
@@ -114,8 +114,8 @@ def test_legs_pressed_with_stall_torque_stay_outside_each_other(distances):
 @pytest.mark.parametrize(
     "make",
     [
-        pytest.param(lambda: SimPhysics(load_model("paper"), "floor"), id="model"),
-        pytest.param(lambda: StandInPhysics(HiddenWorld(), "floor"), id="stand-in"),
+        pytest.param(lambda: SimPhysics(load_model("paper"), build_scene("floor", "op3")), id="model"),
+        pytest.param(lambda: StandInPhysics(HiddenWorld(), build_scene("floor", "op3")), id="stand-in"),
     ],
 )
 def test_legs_of_an_emulated_robot_stop_each_other(distances, make: Callable[[], Physics]):

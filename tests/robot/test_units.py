@@ -30,5 +30,5 @@ def test_units_are_those_of_the_manual():
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_has_this_gravity(name):
     """The MJCF files say what the constant says."""
-    model: mujoco.MjModel = build_scene(name).compile()
+    model: mujoco.MjModel = build_scene(name, "op3").compile()
     assert model.opt.gravity.tolist() == [0.0, 0.0, -GRAVITY]

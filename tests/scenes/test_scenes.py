@@ -18,13 +18,13 @@ joint_positions = st.lists(st.floats(-2.8, 2.8), min_size=20, max_size=20).map(n
 @pytest.fixture(scope="module")
 def floor() -> Scene:
     """The robot on the floor."""
-    return build_scene("floor")
+    return build_scene("floor", "op3")
 
 
 @pytest.fixture(scope="module")
 def stand_model() -> mujoco.MjModel:
     """The robot in the stand, compiled."""
-    return build_scene("stand").compile()
+    return build_scene("stand", "op3").compile()
 
 
 def start(scene: Scene, *where) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -39,7 +39,7 @@ def start(scene: Scene, *where) -> tuple[mujoco.MjModel, mujoco.MjData]:
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_compile(name):
     """Every scene compiles with the common step and integrator."""
-    model = build_scene(name).compile()
+    model = build_scene(name, "op3").compile()
     assert model.opt.timestep == 0.001
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     assert model.nu == 0
@@ -48,7 +48,7 @@ def test_scenes_compile(name):
 def test_unknown_scene():
     """An unknown scene is named, with the ones that exist."""
     with pytest.raises(ValueError, match=r"unknown scene 'moon'; there are floor, stand, bench,"):
-        build_scene("moon")
+        build_scene("moon", "op3")
 
 
 def test_joint_layout(floor, stand_model):
@@ -105,7 +105,7 @@ def test_nothing_touches_the_stand(stand_model, position):
 
 def test_stand_tilts():
     """The stand's tilt is the trunk's orientation, and its height stays."""
-    model, data = start(build_scene("stand", tilt_roll=0.3, tilt_pitch=-0.2), pose("zero", "op3"))
+    model, data = start(build_scene("stand", "op3", tilt_roll=0.3, tilt_pitch=-0.2), pose("zero", "op3"))
     trunk = data.body("op3/body_link")
     np.testing.assert_allclose(trunk.xmat.reshape(3, 3), rotation_matrix(0.3, -0.2), atol=1e-12)
     np.testing.assert_allclose(trunk.xpos, [0.0, 0.0, 0.5], atol=1e-12)
@@ -114,10 +114,10 @@ def test_stand_tilts():
 
 def test_mounted_specific_force(floor):
     """A fixed IMU reads gravity: 9.81 upwards, turned into the frame of the tilted trunk."""
-    np.testing.assert_allclose(build_scene("stand").mounted_specific_force, [0.0, 0.0, 9.81])
+    np.testing.assert_allclose(build_scene("stand", "op3").mounted_specific_force, [0.0, 0.0, 9.81])
     # Nose down by 0.2 rad: up is 9.81 cos 0.2 along z and -9.81 sin 0.2 along the nose.
     expected = [-9.81 * np.sin(0.2), 0.0, 9.81 * np.cos(0.2)]
-    np.testing.assert_allclose(build_scene("stand", tilt_pitch=0.2).mounted_specific_force, expected, atol=1e-12)
+    np.testing.assert_allclose(build_scene("stand", "op3", tilt_pitch=0.2).mounted_specific_force, expected, atol=1e-12)
     with pytest.raises(ValueError, match="the base of scene 'floor' moves"):
         _ = floor.mounted_specific_force
 
@@ -125,9 +125,9 @@ def test_mounted_specific_force(floor):
 def test_wrong_tilts(floor):
     """A tilt that a scene cannot have is refused, with what to do."""
     with pytest.raises(ValueError, match="only the scene 'stand' can be tilted"):
-        build_scene("floor", tilt_roll=0.1)
+        build_scene("floor", "op3", tilt_roll=0.1)
     with pytest.raises(ValueError, match="tilt the stand with build_scene"):
-        build_scene("stand").initial_qpos(pose("zero", "op3"), roll=0.1)
+        build_scene("stand", "op3").initial_qpos(pose("zero", "op3"), roll=0.1)
     with pytest.raises(ValueError, match=r"shape \(20,\), got \(3,\)"):
         floor.initial_qpos(np.zeros(3))
 
@@ -164,7 +164,7 @@ def test_bench_is_a_point_pendulum(mass, length, position):
 
 def test_bench_description():
     """The bench has no robot and says how its servo is loaded."""
-    scene = build_scene("bench")
+    scene = build_scene("bench", "bench")
     assert (scene.robot, scene.mount, scene.name) == (None, "pendulum", "bench")
     assert scene.initial_qpos([0.4]).tolist() == [0.4]
     with pytest.raises(ValueError, match=r"must be positive, got 0.0 kg and 0.1 m"):
@@ -173,8 +173,8 @@ def test_bench_description():
 
 def test_a_stand_may_hold_some_limbs_only():
     """Limbs without a wanted joint are left away, whole limbs stay; on a floor that is refused."""
-    scene = build_scene("stand", joints=("r_knee", "head_tilt"))
+    scene = build_scene("stand", "op3", joints=("r_knee", "head_tilt"))
     assert [str(joint.name) for joint in scene.joints] == [*LIMBS[0], *LIMBS[-1]]
     assert scene.compile().nq == 8
     with pytest.raises(ValueError, match="stand"):
-        build_scene("floor", joints=("r_knee",))
+        build_scene("floor", "op3", joints=("r_knee",))

@@ -14,7 +14,7 @@ from op3.scenes.surfaces import TILE_HEIGHT
 )
 def test_bricks(name, highest):
     """Bricks are 5 mm high, in one layer or two, and none lies under the robot that starts."""
-    model = build_scene(name).compile()
+    model = build_scene(name, "op3").compile()
     bricks = [i for i in range(model.ngeom) if model.geom(i).name.startswith("uneven/brick")]
     tops = model.geom_pos[bricks, 2] + model.geom_size[bricks, 2]
     assert tops.max() == pytest.approx(highest)
@@ -24,7 +24,7 @@ def test_bricks(name, highest):
 
 def test_bricks_do_not_overlap():
     """In a layer, circles around bricks in neighbouring cells keep their centres a brick's width apart."""
-    model = build_scene("bricks_b").compile()
+    model = build_scene("bricks_b", "op3").compile()
     bricks = [i for i in range(model.ngeom) if model.geom(i).name.startswith("uneven/brick")]
     places = model.geom_pos[bricks, :2]
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + np.eye(len(places))
@@ -34,10 +34,10 @@ def test_bricks_do_not_overlap():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_lowered_tiles_are_met(seed):
     """With tiles lowered after compiling, a foot finds the same contacts as without MuJoCo's bounding volumes."""
-    model = build_scene("terrain").compile()
+    model = build_scene("terrain", "op3").compile()
     place_tiles(model.geom_pos, tile_ids(model), draw_tiles(seed))
     rng = np.random.default_rng(seed)
-    scene = build_scene("terrain")
+    scene = build_scene("terrain", "op3")
     found = []
     for enabled in (True, False):
         if not enabled:
@@ -65,5 +65,5 @@ def test_tiles_are_drawn():
     np.testing.assert_allclose(draw_tiles(0, 0.4 * TILE_HEIGHT), 0.4 * heights)
     kinds = [len(np.unique(draw_tiles(seed, steps=0.5))) for seed in range(40)]
     assert 10 < sum(kind <= 2 for kind in kinds) < 30  # on the floor or high, nothing between
-    assert len(heights) == len(tile_ids(build_scene("terrain").compile()))
-    assert len(tile_ids(build_scene("floor").compile())) == 0
+    assert len(heights) == len(tile_ids(build_scene("terrain", "op3").compile()))
+    assert len(tile_ids(build_scene("floor", "op3").compile())) == 0

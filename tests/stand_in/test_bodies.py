@@ -25,7 +25,7 @@ def positions(robot: StandIn) -> np.ndarray:
 
 def test_the_models_weigh_alike():
     """Joint-space inertia and gravity torques of the whole robot agree with MuJoCo's to 1e-9, in any pose."""
-    model = build_scene("stand").compile()
+    model = build_scene("stand", "op3").compile()
     made, names = limb_model(model)
     assert [f"op3/{name.split('/')[1]}" for name in names] == [model.joint(i).name for i in range(model.njnt)]
     data, ours = mujoco.MjData(model), made.createData()
@@ -41,7 +41,7 @@ def test_the_models_weigh_alike():
 
 def test_a_passive_swing_agrees_with_mujoco():
     """Twenty free joints let go 0.3 rad from the pose agree for a quarter of a second to 0.1 mrad."""
-    robot = StandIn(FREE, "stand")
+    robot = StandIn(FREE, build_scene("stand", "op3"))
     start = pose("stand", "op3") + 0.3
     robot.reset(start)
     model = robot.scene.compile()
@@ -60,7 +60,7 @@ def test_a_passive_swing_agrees_with_mujoco():
 
 def test_a_passive_swing_keeps_its_energy():
     """Twenty free joints lose less than 0.02 % of their energy in a second of large swings."""
-    robot = StandIn(FREE, "stand")
+    robot = StandIn(FREE, build_scene("stand", "op3"))
     robot.reset(pose("stand", "op3") + 0.3)
     limbs = robot._bodies
     model, data, energies = limbs.model, limbs.data, []
@@ -80,7 +80,7 @@ def test_driven_limbs_agree_with_mujoco():
     run = robot_suite(3, duration=1.0)[2]
     logs = []
     for by_mujoco in (False, True):
-        robot = StandIn(quiet, "stand")
+        robot = StandIn(quiet, build_scene("stand", "op3"))
         if by_mujoco:
             robot._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
             robot._bodies = Floor(robot._model, robot.servos, robot.scene.joint_names, robot._imu_places())
@@ -95,7 +95,9 @@ def test_a_soft_stand_sways():
     """What kicks makes the gyro of a soft stand feel it, at about its frequency, and not of a stiff one."""
     swings = []
     for frequency in (0.0, 12.0):
-        robot = StandIn(HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, mount_frequency=frequency), "stand")
+        robot = StandIn(
+            HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, mount_frequency=frequency), build_scene("stand", "op3")
+        )
         robot.reset(pose("stand", "op3"))
         rates = []
         for tick in range(125):

@@ -10,7 +10,7 @@ from op3.motions import Motion, hold, squat
 from op3.motions.motion import sample
 from op3.robot import pose
 from op3.rollout import Rollout
-from op3.scenes import build_bench
+from op3.scenes import build_bench, build_scene
 from op3.stand_in import HiddenWorld, StandIn
 from op3.stand_in.play import TrunkPush, play
 from tests.op3_table import CONTROLLED_JOINTS, indices
@@ -22,7 +22,7 @@ SHORT = squat(frequency=2.0, knee_high=1.2, duration=0.5)
 @pytest.fixture(scope="module")
 def squats():
     """The same squat twice on one robot, and the time the first took [s]."""
-    robot = StandIn(HiddenWorld(), seed=5)
+    robot = StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=5)
     begin = time.process_time()
     first = robot.play(squat(), recording="squat-0")
     duration = time.process_time() - begin
@@ -81,7 +81,10 @@ def test_faster_than_real_time(squats):
 
 def test_equal_seeds_give_equal_bytes():
     """Two robots of one world and one seed record the same bytes, recording after recording."""
-    a, b = StandIn(HiddenWorld(), seed=4), StandIn(HiddenWorld(), seed=4)
+    a, b = (
+        StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=4),
+        StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=4),
+    )
     for _ in range(2):
         first, second = a.play(SHORT, settle=0.2), b.play(SHORT, settle=0.2)
         for key in first.channels:
@@ -91,13 +94,13 @@ def test_equal_seeds_give_equal_bytes():
 @pytest.mark.parametrize("change", ["seed", "world", "repeat"])
 def test_another_seed_world_or_repeat_differs(change):
     """Noise differs with the seed and the repeat, the robot with the world."""
-    robot = StandIn(HiddenWorld(), seed=4)
+    robot = StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=4)
     log = robot.play(SHORT, settle=0.2)
     if change == "repeat":
         other = robot.play(SHORT, settle=0.2)
     else:
         world = HiddenWorld.random(1) if change == "world" else HiddenWorld()
-        other = StandIn(world, seed=5 if change == "seed" else 4).play(SHORT, settle=0.2)
+        other = StandIn(world, build_scene("floor", "op3"), seed=5 if change == "seed" else 4).play(SHORT, settle=0.2)
     for key in ("joint/position", "joint/current", "imu/angular_velocity"):
         assert (log.array(key) != other.array(key)).any()
 
@@ -105,7 +108,7 @@ def test_another_seed_world_or_repeat_differs(change):
 def test_metadata_holds_no_truth():
     """Nothing in the metadata is a number of the world, nor names it; the identity and the seed are there."""
     world = HiddenWorld.random(11)
-    log = StandIn(world, "stand", seed=3).play(SHORT, settle=0.1, recording="squat-0")
+    log = StandIn(world, build_scene("stand", "op3"), seed=3).play(SHORT, settle=0.1, recording="squat-0")
     metadata = yaml.safe_load(log.metadata.to_yaml())
     assert metadata["extra"] == {"world": world.identity}
     assert metadata["seed"] == 3
@@ -119,13 +122,14 @@ def test_metadata_holds_no_truth():
     }
     # The nominal battery says nothing about the real one.
     assert (
-        metadata["battery"] == StandIn(HiddenWorld(bus_voltage=12.6), "stand").play(SHORT, settle=0.1).metadata.battery
+        metadata["battery"]
+        == StandIn(HiddenWorld(bus_voltage=12.6), build_scene("stand", "op3")).play(SHORT, settle=0.1).metadata.battery
     )
 
 
 def test_saved_and_loaded(tmp_path):
     """A recording survives the disk."""
-    log = StandIn(HiddenWorld(), "stand").play(SHORT, settle=0.1)
+    log = StandIn(HiddenWorld(), build_scene("stand", "op3")).play(SHORT, settle=0.1)
     loaded = Rollout.load(log.save(tmp_path / "log"))
     assert loaded.metadata == log.metadata
     assert loaded.array("joint/position").tobytes() == log.array("joint/position").tobytes()
@@ -134,7 +138,9 @@ def test_saved_and_loaded(tmp_path):
 def test_a_fall_is_written_down():
     """A robot without gains collapses, and the metadata says so."""
     straight = Motion(np.arange(250) / 125, np.tile(pose("zero", "op3"), (250, 1)), name="collapse", robot="op3")
-    log = StandIn(HiddenWorld(foot_friction=0.7)).play(straight, p_gain=0.0, d_gain=0.0, settle=0.0)
+    log = StandIn(HiddenWorld(foot_friction=0.7), build_scene("floor", "op3")).play(
+        straight, p_gain=0.0, d_gain=0.0, settle=0.0
+    )
     assert log.metadata.fallen is True
 
 
@@ -142,8 +148,12 @@ def test_low_gains_sag_more():
     """A quarter of the gain in one knee, asked per joint, lets that knee sink further."""
     gains = np.full(20, 6.0)
     gains[indices(["l_knee"])] = 1.5
-    soft = StandIn(HiddenWorld(), "stand").play(hold(pose("stand", "op3"), 0.2, robot="op3"), p_gain=gains, settle=0.5)
-    stiff = StandIn(HiddenWorld(), "stand").play(hold(pose("stand", "op3"), 0.2, robot="op3"), settle=0.5)
+    soft = StandIn(HiddenWorld(), build_scene("stand", "op3")).play(
+        hold(pose("stand", "op3"), 0.2, robot="op3"), p_gain=gains, settle=0.5
+    )
+    stiff = StandIn(HiddenWorld(), build_scene("stand", "op3")).play(
+        hold(pose("stand", "op3"), 0.2, robot="op3"), settle=0.5
+    )
     error = [np.abs(log.column("l_knee.position") - log.column("l_knee.target")).max() for log in (soft, stiff)]
     assert error[0] > 1.5 * error[1]
     assert (soft.column("l_knee.p_gain") == 1.5).all()
@@ -153,7 +163,7 @@ def test_gains_by_row():
     """Gains may change from row to row."""
     motion = hold(pose("stand", "op3"), 0.08, robot="op3")
     gains = np.linspace(1, 6, 10)[:, None] * np.ones(20)
-    log = StandIn(HiddenWorld(), "stand").play(motion, p_gain=gains, settle=0.1)
+    log = StandIn(HiddenWorld(), build_scene("stand", "op3")).play(motion, p_gain=gains, settle=0.1)
     assert log.array("command/p_gain").tolist() == gains.tolist()
 
 
@@ -178,13 +188,13 @@ def test_slow_and_partial_motions():
 def test_bad_arguments(arguments, message):
     """They are refused before anything moves."""
     with pytest.raises(ValueError, match=message):
-        StandIn(HiddenWorld(), "stand").play(SHORT, **arguments)
+        StandIn(HiddenWorld(), build_scene("stand", "op3")).play(SHORT, **arguments)
 
 
 def test_targets_beyond_the_soft_limits_are_refused():
     """No robot is told to go where software must keep it from; the message names joint, angle and limit."""
     with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
-        StandIn(HiddenWorld(), "stand").play(
+        StandIn(HiddenWorld(), build_scene("stand", "op3")).play(
             Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",), robot="op3")
         )
 
@@ -201,27 +211,33 @@ def test_the_bench_plays_a_motion_of_its_own():
 def test_a_push_throws_a_robot_off():
     """A stumbling push in the middle of a squat rolls the trunk; without it, it hardly moves; the stand holds it."""
     calm, pushed = (
-        play(StandIn(HiddenWorld(), seed=1), hold(pose("stand", "op3"), 0.6, robot="op3"), 6.0, 0.1, pushes=pushes)
+        play(
+            StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=1),
+            hold(pose("stand", "op3"), 0.6, robot="op3"),
+            6.0,
+            0.1,
+            pushes=pushes,
+        )
         for pushes in ((), (TrunkPush(0.1, (0.0, 12.0, 0.0)),))
     )
     roll = [np.abs(log.array("imu/orientation")[:, 0]).max() for log in (calm, pushed)]
     assert roll[0] < 0.02 < roll[1]
     with pytest.raises(ValueError, match="the trunk is held"):
-        StandIn(HiddenWorld(), "stand").push((1.0, 0.0, 0.0), 0.1)
+        StandIn(HiddenWorld(), build_scene("stand", "op3")).push((1.0, 0.0, 0.0), 0.1)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", True])
 def test_bad_seeds(seed):
     """A seed is a whole number of at least 0."""
     with pytest.raises(ValueError, match="seed must be a whole number"):
-        StandIn(HiddenWorld(), "stand", seed=seed)
+        StandIn(HiddenWorld(), build_scene("stand", "op3"), seed=seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_random_worlds_can_squat(seed):
     """No robot of a random world falls over, and its squat repeats."""
-    robot = StandIn(HiddenWorld.random(seed))
+    robot = StandIn(HiddenWorld.random(seed), build_scene("floor", "op3"))
     first, second = robot.play(squat()), robot.play(squat())
     assert not first.metadata.fallen
     assert not second.metadata.fallen

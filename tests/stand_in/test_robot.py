@@ -40,7 +40,7 @@ def hold(robot: StandIn, target: np.ndarray, duration: float) -> None:
 
 def test_a_held_robot_stays_at_rest():
     """With the noises off, a robot that stands holds every joint and its trunk still to the last count."""
-    robot = StandIn(QUIET.replace(gyro_noise=0.0, accelerometer_noise=0.0))
+    robot = StandIn(QUIET.replace(gyro_noise=0.0, accelerometer_noise=0.0), build_scene("floor", "op3"))
     robot.reset(pose("stand", "op3"))
     hold(robot, pose("stand", "op3"), 1.5)
     before = robot.read_sensors()
@@ -55,7 +55,7 @@ def test_a_held_robot_stays_at_rest():
 
 def test_a_leaning_pose_stands_on_its_soles():
     """The trunk is tilted so that the soles are level: the squat's lean is found from its joint angles."""
-    robot = StandIn(HiddenWorld())
+    robot = StandIn(HiddenWorld(), build_scene("floor", "op3"))
     robot.reset(squat(lean=0.3).position[0])
     orientation = robot.read_sensors().orientation
     assert orientation is not None
@@ -65,7 +65,7 @@ def test_a_leaning_pose_stands_on_its_soles():
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 def test_specific_force_in_the_stand(tilt):
     """At rest the accelerometer reads gravity upwards, turned into the tilted trunk."""
-    robot = StandIn(QUIET.replace(accelerometer_noise=0.0), build_scene("stand", tilt_pitch=tilt))
+    robot = StandIn(QUIET.replace(accelerometer_noise=0.0), build_scene("stand", "op3", tilt_pitch=tilt))
     robot.reset(pose("stand", "op3"))
     robot.advance(0.1)
     force, orientation = robot.read_sensors().linear_acceleration, robot.read_sensors().orientation
@@ -78,7 +78,7 @@ def test_specific_force_in_the_stand(tilt):
 
 def test_readings_lie_on_the_registers_grids():
     """Every reading is a whole number of the register's units."""
-    robot = StandIn(HiddenWorld(), seed=3)
+    robot = StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=3)
     robot.reset(pose("stand", "op3"))
     hold(robot, pose("squat_low", "op3"), 0.08)
     sensors = robot.read_sensors()
@@ -100,7 +100,7 @@ def test_readings_lie_on_the_registers_grids():
 
 def test_a_command_takes_its_time():
     """A current written with a delay starts after it."""
-    robot = StandIn(QUIET.replace(current_lag=1e-6), "stand")
+    robot = StandIn(QUIET.replace(current_lag=1e-6), build_scene("stand", "op3"))
     robot.reset(pose("zero", "op3"))
     robot.write_current(np.full(20, 0.269), 0.005)
     robot.advance(0.005)
@@ -111,7 +111,7 @@ def test_a_command_takes_its_time():
 
 def test_current_limit():
     """A servo holds no goal beyond 2.3 A."""
-    robot = StandIn(QUIET, "stand")
+    robot = StandIn(QUIET, build_scene("stand", "op3"))
     robot.reset(pose("zero", "op3"))
     robot.write_current(np.full(20, 5.0))
     robot.advance(0.005)
@@ -120,7 +120,7 @@ def test_current_limit():
 
 def test_advance_carries_parts_of_a_step():
     """Many short advances add up to one long one."""
-    robot = StandIn(HiddenWorld(), "stand")
+    robot = StandIn(HiddenWorld(), build_scene("stand", "op3"))
     for _ in range(1000):
         robot.advance(0.0001)
     assert robot.time == pytest.approx(0.1)
@@ -128,7 +128,7 @@ def test_advance_carries_parts_of_a_step():
 
 def test_bad_currents_are_refused():
     """Currents that are no numbers, too few, or would overtake others are refused."""
-    robot = StandIn(HiddenWorld(), "stand")
+    robot = StandIn(HiddenWorld(), build_scene("stand", "op3"))
     with pytest.raises(ValueError, match="20 finite numbers"):
         robot.write_current(np.zeros(3))
     with pytest.raises(ValueError, match="20 finite numbers"):
@@ -178,7 +178,7 @@ def test_friction_stops_a_pendulum():
 
 def test_a_dead_robot_loses_energy():
     """Legs let go from a bent pose in the stand never gain mechanical energy and come to rest."""
-    robot = StandIn(QUIET, "stand")
+    robot = StandIn(QUIET, build_scene("stand", "op3"))
     robot.reset(pose("squat_low", "op3"))
     limbs, energies = robot._bodies, []
     for _ in range(300):
@@ -221,7 +221,7 @@ def test_converges_with_the_time_step():
     """
 
     def final(timestep: float) -> np.ndarray:
-        robot = StandIn(QUIET.replace(timestep=timestep), "stand")
+        robot = StandIn(QUIET.replace(timestep=timestep), build_scene("stand", "op3"))
         robot.reset(pose("stand", "op3"))
         positions = []
         for tick in range(100):
@@ -239,7 +239,7 @@ def test_converges_with_the_time_step():
 
 def test_divergence_is_an_error():
     """Physics that blow up are reported, not logged."""
-    robot = StandIn(QUIET, "stand")
+    robot = StandIn(QUIET, build_scene("stand", "op3"))
     robot._bodies.velocity[:] = 1e200
     with pytest.raises(RuntimeError, match="diverged at"):
         robot.advance(0.01)
@@ -247,7 +247,7 @@ def test_divergence_is_an_error():
 
 def test_truth_is_for_scorers():
     """The truth names every number of the world, per servo where servos differ."""
-    truth = StandIn(HiddenWorld(), "stand").truth()
+    truth = StandIn(HiddenWorld(), build_scene("stand", "op3")).truth()
     assert truth["backward_efficiency"] == HiddenWorld().backward_efficiency
     assert np.shape(truth["torque_constant"]) == (len(JOINTS),)
 
@@ -255,7 +255,7 @@ def test_truth_is_for_scorers():
 def test_the_body_is_the_worlds():
     """Mass, centre of mass, armature and ground of the compiled model are the world's, on top of the public model."""
     world = HiddenWorld(base_mass_offset=0.3, base_com_offset_x=0.01, base_com_offset_z=-0.02, foot_friction=0.65)
-    robot, public = StandIn(world), build_scene("floor").compile()
+    robot, public = StandIn(world, build_scene("floor", "op3")), build_scene("floor", "op3").compile()
     hidden, trunk = robot._model, robot._model.body("op3/body_link").id
     assert hidden.body_subtreemass[0] - public.body_subtreemass[0] == pytest.approx(0.3)
     assert hidden.body_ipos[trunk] - public.body_ipos[trunk] == pytest.approx([0.01, 0, -0.02])

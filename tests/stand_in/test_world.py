@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from op3.motions import squat
+from op3.scenes import build_scene
 from op3.stand_in import BENCH_RANGES, RANDOM_RANGES, HiddenWorld, StandIn, world_names
 from op3.stand_in.world import FORMS, read_ranges
 
@@ -186,7 +187,7 @@ def test_a_file_may_hide_effects_of_the_bench(tmp_path):
     assert HiddenWorld.load(world.save(tmp_path / "again.yaml")) == world
     assert world.identity != HiddenWorld.random(7).identity
     logs = [
-        StandIn(one, "stand").play(squat(frequency=2.0, knee_high=1.2, duration=0.5), 6.0, 0.1)
+        StandIn(one, build_scene("stand", "op3")).play(squat(frequency=2.0, knee_high=1.2, duration=0.5), 6.0, 0.1)
         for one in (world, HiddenWorld.random(7))
     ]
     knee = logs[0].joints.index("l_knee")

@@ -67,20 +67,19 @@ class StandInPhysics(StandIn):
     """A stand-in robot, whose truth is hidden, behind the bus. It has its own battery, temperatures and IMU.
 
     Args:
-        scene: a name that `op3.scenes.build_scene` knows, or a scene.
         seed: of the sensors' noise and the servos' state.
         joint_position: [joint] in rad at the start; by default home.
     """
 
     def __init__(
         self,
-        world: HiddenWorld | None = None,
-        scene: str | Scene = "floor",
+        world: HiddenWorld,
+        scene: Scene,
         *,
         seed: int = 0,
         joint_position: ArrayLike | None = None,
     ):
-        super().__init__(world or HiddenWorld(), scene, seed=seed)
+        super().__init__(world, scene, seed=seed)
         self.reset(self.rest if joint_position is None else joint_position)
         self._sensors = self.read_sensors()
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from op3.deploy.emulator.physics import PERIOD
 from op3.robot import RobotEntity
 from op3.robot.register_units import GRAVITY
-from op3.scenes import BoardMotion, WeightSchedule, board_drive, build_scene, place_tiles, tile_ids
+from op3.scenes import BoardMotion, WeightSchedule, board_drive, place_tiles, tile_ids
 from op3.scenes.scene import Scene
 from op3.servo import RobotModel, Stage, Trunk
 from op3.servo.effects import Motor
@@ -69,7 +69,7 @@ class SimPhysics(BatchSimulation):
 
     Args:
         model: of the robot; see `op3.sim.load_model`.
-        scene: a name that `op3.scenes.build_scene` knows, or a scene without servos attached.
+        scene: without servos attached.
         joint_position: [joint] in rad at the start; by default home.
 
     Attributes:
@@ -79,12 +79,12 @@ class SimPhysics(BatchSimulation):
     def __init__(
         self,
         model: RobotModel,
-        scene: str | Scene = "floor",
+        scene: Scene,
         *,
         seed: int = 0,
         joint_position: ArrayLike | None = None,
     ):
-        self.scene = build_scene(scene) if isinstance(scene, str) else scene
+        self.scene = scene
         attach_servos(self.scene.joints)
         self.known, robot = self.scene.robot_file, self.scene.robot
         super().__init__(

@@ -19,7 +19,9 @@ from op3.deploy.emulator import (
 )
 from op3.deploy.protocol import Parser, encode
 from op3.deploy.registers import HardwareError
+from op3.scenes import build_scene
 from op3.sim import load_model
+from op3.stand_in import HiddenWorld
 
 
 def tick(bench, address=126, length=10):
@@ -118,11 +120,11 @@ def test_two_speakers_at_once_are_not_understood():
 
 
 def sim():
-    return SimPhysics(load_model("paper"), "floor", seed=3)
+    return SimPhysics(load_model("paper"), build_scene("floor", "op3"), seed=3)
 
 
 def stand_in():
-    return StandInPhysics(scene="floor", seed=3)
+    return StandInPhysics(HiddenWorld(), build_scene("floor", "op3"), seed=3)
 
 
 def session(path, seed=1, physics=None):

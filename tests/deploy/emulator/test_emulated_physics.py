@@ -19,7 +19,11 @@ def drive(physics, current=0.0, enabled=True):
 
 
 def hanging(kind):
-    return SimPhysics(load_model("paper"), "stand") if kind == "sim" else StandInPhysics(HiddenWorld(), "stand")
+    return (
+        SimPhysics(load_model("paper"), build_scene("stand", "op3"))
+        if kind == "sim"
+        else StandInPhysics(HiddenWorld(), build_scene("stand", "op3"))
+    )
 
 
 @pytest.mark.parametrize("kind", ["sim", "stand_in"])
@@ -46,7 +50,11 @@ def test_a_goal_current_flows(kind):
 @pytest.mark.parametrize("kind", ["sim", "stand_in"])
 def test_a_fall_shows_in_the_imu(kind):
     """Without torque the robot on the floor collapses: its accelerometer and attitude say so."""
-    physics = SimPhysics(load_model("paper")) if kind == "sim" else StandInPhysics()
+    physics = (
+        SimPhysics(load_model("paper"), build_scene("floor", "op3"))
+        if kind == "sim"
+        else StandInPhysics(HiddenWorld(), build_scene("floor", "op3"))
+    )
     drive(physics, enabled=False)
     physics.advance(2.5)
     readings = physics.read()
@@ -57,7 +65,7 @@ def test_a_fall_shows_in_the_imu(kind):
 def test_the_simulation_behind_the_bus_is_the_simulation():
     """With goal currents of a constant PD command it moves as `BatchSimulation` moves without latency."""
     model = load_model("paper").without("latency")
-    scene = build_scene("floor")
+    scene = build_scene("floor", "op3")
     attach_servos(scene.joints)
     direct = BatchSimulation(
         scene.compile(),
@@ -71,7 +79,7 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
     stand = pose("stand", "op3")
     commands = {"position_target": torch.from_numpy(stand), "p_gain": torch.tensor(6.0), "d_gain": torch.tensor(0.1)}
     direct.reset(scene.initial_qpos(stand), commands)
-    physics = SimPhysics(model)
+    physics = SimPhysics(model, build_scene("floor", "op3"))
     for _ in range(200):
         current = 6.0 * (stand - physics.position) - 0.1 * physics.read().velocity
         drive(physics, np.clip(current, -2.3, 2.3))
@@ -83,7 +91,10 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
 
 def test_the_stand_in_behind_the_bus_is_the_stand_in():
     """The same currents move it as they move a stand-in of its own."""
-    physics, direct = StandInPhysics(HiddenWorld(), seed=3), StandIn(HiddenWorld(), seed=3)
+    physics, direct = (
+        StandInPhysics(HiddenWorld(), build_scene("floor", "op3"), seed=3),
+        StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=3),
+    )
     direct.reset(pose("stand", "op3"))
     sensors = direct.read_sensors()  # a reading draws from the same random numbers as the servos do
     for number in range(50):
@@ -100,8 +111,11 @@ def test_the_stand_in_behind_the_bus_is_the_stand_in():
 def test_any_scene_will_do(scene):
     """Both physics take every scene; on the bench there is one servo and no IMU."""
     for physics in (
-        SimPhysics(load_model("paper").without("payload", "com_offset"), scene),
-        StandInPhysics(scene=scene),
+        SimPhysics(
+            load_model("paper").without("payload", "com_offset"),
+            build_scene(scene, "bench" if scene == "bench" else "op3"),
+        ),
+        StandInPhysics(HiddenWorld(), build_scene(scene, "bench" if scene == "bench" else "op3")),
     ):
         physics.advance(0.005)
         assert (physics.read().orientation is None) == (scene == "bench")
@@ -131,4 +145,4 @@ def test_low_supply_limits_the_current():
 def test_a_model_driven_by_voltage_is_refused():
     """The emulated servos regulate current."""
     with pytest.raises(ValueError, match="voltage"):
-        SimPhysics(load_model("sts3032"), "bench")
+        SimPhysics(load_model("sts3032"), build_scene("bench", "bench"))
