@@ -83,11 +83,11 @@ class Waves:
     phase: Array
 
     @classmethod
-    def draw(cls, seed: int) -> Waves:
-        """Waves of a seed: each axis gets a size up to `WAVE_AMPLITUDE`, shared out among its parts."""
+    def draw(cls, seed: int, amplitude: float = WAVE_AMPLITUDE) -> Waves:
+        """Waves of a seed: each axis gets a size up to an amplitude [rad], shared out among its parts."""
         rng = np.random.default_rng([seed, 11])
         shares = rng.dirichlet(np.ones(WAVE_PARTS), 2)
-        size = rng.uniform(0.0, WAVE_AMPLITUDE, (2, 1))
+        size = rng.uniform(0.0, amplitude, (2, 1))
         shape = (2, WAVE_PARTS)
         return cls(size * shares, rng.uniform(*WAVE_FREQUENCIES, shape), rng.uniform(0.0, 2 * np.pi, shape))
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from op3.common.settings import CONTROL_PERIOD
 from op3.robot import Robot
 from op3.scenes import Scene, Tilts, Waves, WeightSchedule, board_drive, draw_tiles, place_tiles, stack, tile_ids
+from op3.scenes.board import WAVE_AMPLITUDE
 from op3.scenes.surfaces import TILE_HEIGHT
 from op3.servo import RobotModel
 from op3.tasks.episodes import Episodes, World
@@ -74,12 +75,14 @@ class Board:
 
     Args:
         motion: one of `BoardMotion`.
+        amplitude: largest angle of random waves [rad].
     """
 
-    def __init__(self, scene: Scene, motion: BoardMotion):
+    def __init__(self, scene: Scene, motion: BoardMotion, amplitude: float = WAVE_AMPLITUDE):
         if (motion == "weight") != (scene.name == "board_weight") or not scene.name.startswith("board"):
             raise ValueError(f"scene {scene.name!r} cannot be moved by motion={motion!r}")
         self.motion: BoardMotion = motion
+        self.amplitude = amplitude
         self._motions: dict[int, Any] = {}
 
     def attach(self, world: World) -> None:
@@ -89,7 +92,7 @@ class Board:
     def begin(self, episodes: Episodes) -> None:
         """Draw motions."""
         for row, seed in zip(episodes.rows, episodes.seeds, strict=True):
-            self._motions[int(row)] = board_motion(self.motion, int(seed))
+            self._motions[int(row)] = board_motion(self.motion, int(seed), self.amplitude)
         self._stacked: Any = stack([self._motions[row] for row in range(len(self._world.qpos))])
         if self._drive is None:
             self._drive: Any = board_drive(self._world.model, self._motions[0], CONTROL_PERIOD)
@@ -100,12 +103,13 @@ class Board:
         self._drive.apply(self._stacked, time, world.qpos, world.qvel, world.qfrc_applied)
 
 
-def board_motion(motion: BoardMotion, seed: int) -> Waves | Tilts | WeightSchedule:
-    """What moves a board in the episode of a seed."""
+def board_motion(motion: BoardMotion, seed: int, amplitude: float = WAVE_AMPLITUDE) -> Waves | Tilts | WeightSchedule:
+    """What moves a board in the episode of a seed; see `Board`."""
     if motion == "still":
         return Waves.still()
-    kinds = {"waves": Waves, "tilts": Tilts, "weight": WeightSchedule}
-    return kinds[motion].draw(seed)
+    if motion == "waves":
+        return Waves.draw(seed, amplitude)
+    return {"tilts": Tilts, "weight": WeightSchedule}[motion].draw(seed)
 
 
 class Terrain:

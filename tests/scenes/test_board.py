@@ -29,6 +29,8 @@ def test_waves_are_bounded_and_start_level():
             np.testing.assert_array_equal(value, 0.0)
     assert not np.allclose(seen[0], seen[1])
     np.testing.assert_array_equal(seen[0], Waves.draw(0).at(TIMES)[0])
+    larger, _ = Waves.draw(0, 1.5 * WAVE_AMPLITUDE).at(TIMES)
+    np.testing.assert_allclose(larger, 1.5 * seen[0])
 
 
 def test_tilts_reach_six_degrees_to_both_sides():
@@ -53,7 +55,7 @@ def test_stacked_motions_are_their_parts():
 
 def test_board_is_driven():
     """While a limp robot collapses on it, the board is within 0.5 mrad and 0.05 rad/s of its motion."""
-    scene = build_scene("board")
+    scene = build_scene("board", "op3")
     model = scene.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
@@ -70,7 +72,7 @@ def test_board_is_driven():
 
 def test_weight_tips_the_board():
     """Without a robot the board lies as it was put until the weight is lowered behind its axis, then at its stop."""
-    scene = build_scene("board_weight")
+    scene = build_scene("board_weight", "op3")
     model = scene.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
@@ -94,7 +96,7 @@ def test_weight_tips_the_board():
 
 def test_robot_starts_on_the_tilted_board():
     """On the board at its front stop all sole boxes touch and nothing penetrates."""
-    scene = build_scene("board_weight")
+    scene = build_scene("board_weight", "op3")
     model = scene.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = scene.initial_qpos(pose("stand", "op3"))
