@@ -1,7 +1,4 @@
-"""Check a robot file: its joints, what of its model acts, and a picture of it at home.
-
-The work is done by `op3.apps.check`; `--help` lists the settings.
-"""
+"""The command `op3.apps.check`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Record a motion, a plan of motions or a policy on a robot, once or several times.
-
-The work is done by `op3.apps.collect`; `--help` lists the settings.
-"""
+"""The command `op3.apps.collect`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Compare the runs of a multirun of `op3 identify` on one page: losses, errors, parameters, time.
-
-The work is done by `op3.apps.compare_runs`; `--help` lists the settings.
-"""
+"""The command `op3.apps.compare_runs`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

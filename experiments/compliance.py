@@ -1,7 +1,4 @@
-"""Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls, heat.
-
-The work is done by `op3.apps.compliance`; `--help` lists the settings.
-"""
+"""The command `op3.apps.compliance`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

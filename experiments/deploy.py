@@ -1,7 +1,4 @@
-"""Run a policy on a robot, with start checks and limits; the exit code states how it ended.
-
-The work is done by `op3.apps.deploy`; `--help` lists the settings.
-"""
+"""The command `op3.apps.deploy`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Choose the motions that narrow the intervals of parameters most per second of robot time.
-
-The work is done by `op3.apps.design_excitation`; `--help` lists the settings.
-"""
+"""The command `op3.apps.design_excitation`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Name the effects that a model does not include, from logs of a stand or of a servo bench.
-
-The work is done by `op3.apps.diagnose`; `--help` lists the settings.
-"""
+"""The command `op3.apps.diagnose`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

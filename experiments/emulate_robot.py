@@ -1,7 +1,4 @@
-"""Serve an emulated robot on a serial port until Ctrl-C; the first line printed is the port.
-
-The work is done by `op3.apps.emulate_robot`; `--help` lists the settings.
-"""
+"""The command `op3.apps.emulate_robot`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

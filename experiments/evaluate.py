@@ -1,7 +1,4 @@
-"""Judge a policy, or a baseline, under R_eval on a simulated robot.
-
-The work is done by `op3.apps.evaluate`; `--help` lists the settings.
-"""
+"""The command `op3.apps.evaluate`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Write a model for another simulator, with the error of what that cannot express.
-
-The work is done by `op3.apps.export`; `--help` lists the settings.
-"""
+"""The command `op3.apps.export`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

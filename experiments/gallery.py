@@ -4,12 +4,16 @@ python experiments/gallery.py <picture> ... [--out docs/images]
 """
 
 import argparse
+import io
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib
 import numpy as np
-from drawing import above, drawn, panels, small, strip, told
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image
 
 from op3.diagnose import Diagnosis, diagnosed_mount, split_logs, suited
@@ -17,10 +21,10 @@ from op3.envs import BatchedEnv, record_episodes
 from op3.motions import Motion, chirp, multisine, squat, staircase, triangle
 from op3.policy import PolicyBundle
 from op3.report.frames import draw_frames
-from op3.report.style import INK, PALETTE
+from op3.report.style import INK, MUTED, PALETTE
 from op3.report.video import states_of_log
 from op3.robot import pose
-from op3.rollout import Rollout, read_logs
+from op3.rollout import read_logs
 from op3.scenes import build_scene
 from op3.servo import RobotModel, Servos, law
 from op3.sim import load_model, model_for
@@ -32,25 +36,41 @@ PICTURES: dict[str, Callable[[], Image.Image]] = {}
 """What draws each picture, by name."""
 
 
+plt.switch_backend("Agg")
+plt.rcParams |= {
+    "axes.prop_cycle": matplotlib.cycler(color=PALETTE), "axes.spines.top": False, "axes.spines.right": False,
+    "axes.edgecolor": MUTED, "axes.labelcolor": INK, "figure.dpi": 120, "figure.constrained_layout.use": True,
+    "font.size": 9, "legend.frameon": False, "lines.linewidth": 1.4,
+}  # fmt: skip
+
+
+def panels(rows: int = 1, columns: int = 1, height: float = 3.0, **options):
+    """A figure of this height in inches, and its axes."""
+    return plt.subplots(rows, columns, figsize=(8.0, height), **options)
+
+
+def drawn(figure: Figure) -> Image.Image:
+    """A figure as a picture."""
+    data = io.BytesIO()
+    figure.savefig(data)
+    plt.close(figure)
+    return Image.open(data).convert("RGB")
+
+
+def above(axis: Axes) -> None:
+    """A legend in one row over an axis, where it hides nothing."""
+    axis.legend(ncol=4, loc="lower center", bbox_to_anchor=(0.5, 0.98))
+
+
+def strip(frames: np.ndarray, top: int = 40) -> Image.Image:
+    """Frames ``[frame, height, width, 3]`` side by side, without their empty margins, from a row on."""
+    return Image.fromarray(np.concatenate([frame[top : top + 400, 90:390] for frame in frames], axis=1))
+
+
 def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
     """Enter a function under its name."""
     PICTURES[draw.__name__] = draw
     return draw
-
-
-def episode(task: str, policy: str, seed: int = 501) -> Rollout:
-    """One episode of a shipped policy in simulation."""
-    bundle = PolicyBundle.load(f"assets/policies/{policy}")
-    env = BatchedEnv(find_task(task), load_model("paper"), 1, seed, action_map=bundle.manifest.action_map)
-    return record_episodes(env, bundle)[0]
-
-
-def still(log: Rollout, scene: str, times: Sequence[float]) -> Image.Image:
-    """What a log tells of a robot at some times [s]."""
-    place = build_scene(scene, "op3")
-    states = states_of_log(log, place, log.metadata.rate or 125.0)
-    rows = [int(np.searchsorted(log.array("time")[:, 0], time)) for time in times]
-    return strip(draw_frames(place.compile(), states[rows]))
 
 
 @picture
@@ -67,30 +87,12 @@ def poses() -> Image.Image:
 
 @picture
 def balance() -> Image.Image:
-    """The shipped policy on the board that decides transfers."""
-    return still(episode("balance_eval", "balance"), "board", (0.5, 2.6, 4.6, 6.6))
-
-
-@picture
-def walk() -> Image.Image:
-    """The shipped walk, a fifth of a second apart."""
-    return still(episode("walk", "walk"), "floor", (2.0, 2.2, 2.4, 2.6))
-
-
-@picture
-def gains() -> Image.Image:
-    """What the walk commands: P gains of the left leg over three cycles."""
-    log = episode("walk", "walk")
-    time = log.array("time")[:, 0]
-    rows = (time > 3.0) & (time < 5.0)
-    figure, axes = panels(2, 1, 4.0, sharex=True)
-    for joint in ("l_hip_pitch", "l_knee", "l_ank_pitch", "l_ank_roll"):
-        axes[0].plot(time[rows], log.column(f"{joint}.p_gain")[rows], label=joint)
-        axes[1].plot(time[rows], log.column(f"{joint}.current")[rows])
-    axes[0].set(ylabel="P gain [A/rad]", ylim=(0, None))
-    above(axes[0])
-    axes[1].set(ylabel="current [A]", xlabel="time [s]")
-    return drawn(figure)
+    """The shipped policy on the board that decides transfers, at four times."""
+    bundle = PolicyBundle.load("assets/policies/balance")
+    env = BatchedEnv(find_task("balance_eval"), load_model("paper"), 1, 501, action_map=bundle.manifest.action_map)
+    scene = build_scene("board", "op3")
+    states = states_of_log(record_episodes(env, bundle)[0], scene, 125.0)
+    return strip(draw_frames(scene.compile(), states[[63, 325, 575, 825]]))
 
 
 @picture
@@ -266,7 +268,9 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.pictures:
-        print(told(small(PICTURES[name](), options.out / f"{name}.webp")))
+        path = options.out / f"{name}.webp"
+        PICTURES[name]().save(path, quality=82, method=6)
+        print(f"{path}, {-(-path.stat().st_size // 1000)} kB")
 
 
 if __name__ == "__main__":

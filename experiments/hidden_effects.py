@@ -1,7 +1,4 @@
-"""Hide effects in robots, diagnose every robot from its logs alone, and count how often the names are right.
-
-The work is done by `op3.apps.hidden_effects`; `--help` lists the settings.
-"""
+"""The command `op3.apps.hidden_effects`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

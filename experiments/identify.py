@@ -1,7 +1,4 @@
-"""Identify a robot's or a servo's parameters from logs.
-
-The work is done by `op3.apps.identify`; `--help` lists the settings.
-"""
+"""The command `op3.apps.identify`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

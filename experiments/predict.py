@@ -1,7 +1,4 @@
-"""Measure how well a model predicts logs that it has not seen, with 90 % intervals.
-
-The work is done by `op3.apps.predict`; `--help` lists the settings.
-"""
+"""The command `op3.apps.predict`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Re-identify a robot from a failed transfer by matching the returns of its episodes.
-
-The work is done by `op3.apps.reidentify`; `--help` lists the settings.
-"""
+"""The command `op3.apps.reidentify`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

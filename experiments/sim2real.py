@@ -1,7 +1,4 @@
-"""Run the whole method against a robot: collect, identify, train, deploy, judge, learn from failures.
-
-The work is done by `op3.apps.sim2real`; `--help` lists the settings.
-"""
+"""The command `op3.apps.sim2real`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

@@ -1,7 +1,4 @@
-"""Train a policy on a simulated robot.
-
-The work is done by `op3.apps.train`; `--help` lists the settings.
-"""
+"""The command `op3.apps.train`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

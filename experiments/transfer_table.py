@@ -1,7 +1,4 @@
-"""Measure how often policies transfer, by what they were trained on: the paper's Tables III and IV.
-
-The work is done by `op3.apps.transfer_table`; `--help` lists the settings.
-"""
+"""The command `op3.apps.transfer_table`; `--help` lists its settings."""
 
 from op3.command_line import launch
 

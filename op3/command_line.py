@@ -128,7 +128,7 @@ def _launch(app: str) -> None:
     except RuntimeError as error:
         if "srun" not in str(error):  # what submitit looks for
             raise
-        end("hydra/launcher=submitit_slurm: there is no Slurm here (srun); start it where jobs are sent from")
+        end("hydra/launcher=submitit_slurm: Slurm (srun) is not installed here; start it on a submit node")
     except ValueError as error:
         if HydraConfig.initialized():  # it is ours, and a mistake
             raise

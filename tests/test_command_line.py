@@ -92,7 +92,10 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["compliance", "policy=stiff", "baseline=x"], "baseline=x: no such folder; give a bundle's, or hold, zero,"),
         (["evaluate", "policy=hold", "episodes=1000000000"], "there is not enough memory for so much at once; ask for"),
         (["collect", "hydra/launcher=slurm"], "hydra/launcher=slurm: there is no 'slurm' in the group hydra/launcher"),
-        (["train", "-m", "hydra/launcher=submitit_slurm"], "hydra/launcher=submitit_slurm: there is no Slurm here"),
+        (
+            ["train", "-m", "hydra/launcher=submitit_slurm"],
+            "hydra/launcher=submitit_slurm: Slurm (srun) is not installed here",
+        ),
         (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),

@@ -1,9 +1,8 @@
-"""How much the servo law costs: alone, beside MuJoCo on 64 OP3s that stand, and in windows around a motion.
+"""How much the servo law costs: alone, and beside MuJoCo on 64 OP3s that stand.
 
 python experiments/benchmarks/simulation_speed.py
 """
 
-import statistics
 import time
 from collections.abc import Callable
 
@@ -16,7 +15,6 @@ from op3.report import machine
 from op3.robot import load_robot, pose
 from op3.servo import Servos
 from op3.sim import BatchSimulation, load_model
-from op3.tasks import ComposerTask, composer_environment, find_task
 
 SIMS = 64
 ROUNDS = 7
@@ -59,24 +57,6 @@ def standing() -> BatchSimulation:
     return simulation
 
 
-def seconds_per_step(work: Callable[[], object], steps: int) -> float:
-    """Wall time of one physics step of one robot [s]."""
-    started = time.perf_counter()
-    work()
-    return (time.perf_counter() - started) / steps
-
-
-def with_law(simulation: BatchSimulation) -> float:
-    """A step with the law."""
-    steps = TICKS * simulation.substeps * SIMS
-    return seconds_per_step(lambda: [simulation.advance() for _ in range(TICKS)], steps)
-
-
-def bare(batch: Batch, steps: int) -> float:
-    """A step of the same batch, state and threads without the law: torques and friction as last written."""
-    return seconds_per_step(lambda: [batch.step() for _ in range(steps)], steps * SIMS)
-
-
 def processor_seconds(batch: Batch, steps: int) -> float:
     """Processor time of a step of the whole batch without the law [s], whatever else the machine does."""
     started = time.process_time()
@@ -85,41 +65,16 @@ def processor_seconds(batch: Batch, steps: int) -> float:
     return (time.process_time() - started) / steps
 
 
-def composer() -> Callable[[], float]:
-    """A step through dm_control composer, one robot."""
-    task = ComposerTask(find_task("walk", duration=1e6), load_model("paper"))
-    environment, stand = composer_environment(task), task.action_map.stand()
-    environment.reset()
-    count = TICKS // 4
-    return lambda: seconds_per_step(lambda: [environment.step(stand) for _ in range(count)], count * 32)
-
-
 def main() -> None:
-    """Measure in turn, so that a drift of the machine's speed meets all, and print medians."""
+    """Measure, and print the best of several rounds."""
     torch.set_num_threads(1)
-    simulation, one = standing(), composer()
-    state = simulation.batch.state.copy()
-    rows = []
-    for _ in range(ROUNDS):
-        # from the same stand: held torques let the robots sway after a while
-        simulation.batch.state[...] = state
-        full = with_law(simulation)
-        simulation.batch.state[...] = state
-        rows.append((full, bare(simulation.batch, TICKS * simulation.substeps), one()))
     print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
-    names = ("law and Batch.step", "bare Batch.step", "composer")
-    for name, values in zip(names, zip(*rows, strict=True), strict=True):
-        print(f"{name:20s} {1e6 * statistics.median(values):8.1f} us per step and robot")
     alone = {robots: law_alone(robots) for robots in ROBOTS}
     for robots, call in alone.items():
         print(f"law of {20 * robots:5d} joints {1e6 * min(call() for _ in range(ROUNDS)):8.1f} us per call")
-    step = min(processor_seconds(simulation.batch, 100) for _ in range(ROUNDS))
+    batch = standing().batch
+    step = min(processor_seconds(batch, 100) for _ in range(ROUNDS))
     print(f"law's share of the processor time of a step of {SIMS} robots: {100 * alone[SIMS]() / step:.1f} %")
-    for name, ratios in (
-        ("bare Batch.step against that with the law", [row[1] / row[0] for row in rows]),
-        ("composer against law and Batch.step", [row[2] / row[0] for row in rows]),
-    ):
-        print(f"{name}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}, {ROUNDS} rounds)")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from hydra.core.hydra_config import HydraConfig
 from mujoco import sysid
 from omegaconf import DictConfig
 
-from op3.apps.fields import check_given, plain
+from op3.apps.fields import plain
 from op3.apps.job import one_sentence
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
@@ -222,8 +222,6 @@ def main(cfg: DictConfig) -> None:
         torch.set_num_threads(1)
         if not hasattr(sysid, "optimize"):
             raise ValueError('mujoco.sysid is not complete here: pip install "mujoco[sysid]"')
-        check_given(cfg, "data", "a log of a squat on the floor")
-        check_given(cfg, "heldout", "another log of a squat on the floor")
         log, heldout = read_logs(cfg.data)[0], read_logs(cfg.heldout)[0]
         results = {"mujoco.sysid": fit_peer(cfg, log, heldout), "method=lsq": fit_ours(cfg, log, heldout)}
         folder = Path(HydraConfig.get().runtime.output_dir)

@@ -10,13 +10,12 @@ import argparse
 import statistics
 import tempfile
 import time
-from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from op3.apps.fields import plain
+from op3.apps.job import composed
 from op3.apps.train import describe, learner, robots
 from op3.report import machine, run_provenance
 from op3.train import Practice, TrainSettings, train
@@ -51,9 +50,7 @@ def main() -> None:
         "algorithm.checkpoint_buffer=false",
         *(f"train.{name}={never}" for name in ("evaluate_every", "checkpoint_every", "log_every")),
     ]  # fmt: skip
-    conf = Path(__file__).resolve().parents[2] / "conf"
-    with initialize_config_dir(str(conf), version_base="1.3"):
-        cfg = compose("train", overrides)
+    cfg = composed("train", overrides)
     rows = [(seconds(cfg, True), seconds(cfg, False)) for _ in range(rounds + 1)][1:]  # the first warms up
     print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
     for name, times in zip(("overlap", "serial"), zip(*rows, strict=True), strict=True):

@@ -11,7 +11,6 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given
 from op3.apps.support import output_folder
 from op3.report.frames import RenderError
 from op3.report.robot_table import draw_robot, robot_table
@@ -21,7 +20,6 @@ from op3.robot.robot import robot_files
 
 def main(cfg: DictConfig) -> CommandResult:
     """Print the table of a robot, and draw it."""
-    check_given(cfg, "robot", "a robot file")
     robot = load_robot(cfg.robot)
     out, files = cfg.out, []
     if out is None and robot.path not in robot_files().values():

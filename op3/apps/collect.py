@@ -82,7 +82,7 @@ def collect(
     """Record a motion, a plan of motions or a policy's episodes on a robot.
 
     Args:
-        motion: a name in ``conf/motion`` or ``conf/motion_variants.yaml``.
+        motion: a name in ``conf/motion`` or ``conf/variants.yaml``.
         source: who plays the robot: ``stand_in``, ``emulated``, ``real`` or ``model``.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         policy: folder of a bundle whose episodes are recorded instead of a motion.
@@ -169,7 +169,7 @@ def read_plan(path: Path) -> list[tuple[str, str]]:
     """Motions with their mounts from a plan that `design_excitation.py` wrote, or by hand.
 
     Raises:
-        ValueError: naming what is wrong, if it is no plan.
+        ValueError: naming what is wrong, if it is not a plan.
     """
     entries = read_yaml(path).get("plan")
     if not isinstance(entries, list) or not entries:

@@ -13,7 +13,7 @@ import torch
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given, plain
+from op3.apps.fields import plain
 from op3.apps.job import configured
 from op3.apps.support import output_folder, provenance, reported
 from op3.compliance.compare import difference
@@ -61,7 +61,6 @@ def names(value: Any) -> list[str]:
 def main(cfg: DictConfig) -> CommandResult:
     """Measure all policies and report."""
     torch.set_num_threads(1)
-    check_given(cfg, "policy", "folder of a bundle")
     options = {"gain_scale": cfg.gain_scale, "num_threads": cfg.threads}
     model, sizes = load_model(cfg.model), Sizes(**plain(cfg.sizes))
     study = Study(model, plain(cfg.grounds), sizes, cfg.seed, **options)

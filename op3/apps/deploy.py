@@ -135,7 +135,7 @@ def check_policy(cfg: DictConfig, runner: PolicyRunner) -> Check:
     try:
         card = check_card(cfg.policy, runner.bundle)
     except ValueError as error:
-        return Check("policy card", False, f"{error}; or run it all the same with card=ignore")
+        return Check("policy card", False, f"{error}; or run it anyway with card=ignore")
     return Check("policy card", True, f"{card.verdict} at {card.task}")
 
 
@@ -160,7 +160,7 @@ def carry_out(cfg: DictConfig) -> ExitCode:
     folder = output_folder()
     taken = next((folder / name for name in LOG_NAMES if (folder / name).exists()), None)
     if taken is not None:
-        raise ValueError(f"{taken} is there already, a log is never written over; choose another hydra.run.dir")
+        raise ValueError(f"{taken} already exists, and a log is never overwritten; choose another hydra.run.dir")
     plan = Plan(
         limits,
         dry=cfg.mode == "dry_run",

@@ -16,10 +16,10 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import plain, positive
+from op3.apps.fields import plain
 from op3.apps.job import configured
 from op3.apps.support import library_motion, output_folder, provenance, reported
-from op3.common.assets import motion_names
+from op3.common.assets import named_configs
 from op3.identify.design import PlannedRecording, check_choice, choose, information
 from op3.identify.identification import PREFIX
 from op3.identify.resolvers import chosen_model
@@ -61,7 +61,7 @@ def design(
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: the robot's own.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         mounts: ``floor``, ``stand`` or both.
-        motions: names in ``conf/motion`` or ``conf/motion_variants.yaml``; None: all that the robot can play.
+        motions: names in ``conf/motion`` or ``conf/variants.yaml``; None: all that the robot can play.
         folder: of the run; None: a temporary one.
         overrides: of further settings of ``conf/design_excitation.yaml``.
 
@@ -78,7 +78,7 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
     joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
     robot.indices(joints)  # before minutes of motions
     candidates, left_out = [], {}
-    for name in plain(cfg.motions) or motion_names():
+    for name in plain(cfg.motions) or named_configs("motion"):
         motion = library_motion(name, cfg.robot)
         if load_robot(motion.robot).path != robot.path:
             continue
@@ -104,7 +104,6 @@ def main(cfg: DictConfig) -> Designed:
     bounds = {name: _ends(space[PREFIX + name]) for name in cfg.parameters if PREFIX + name in space}
     wanted = list(bounds) if cfg.wanted is None else list(cfg.wanted)
     check_choice(list(bounds), wanted, cfg.criterion)
-    positive(cfg, "seconds", "seconds")
     candidates, left_out = judge(cfg, bounds)
     steps = choose(
         candidates,

@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from threadpoolctl import threadpool_limits
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given, plain, whole
+from op3.apps.fields import plain, whole
 from op3.apps.job import configured
 from op3.apps.progress import ProgressLine
 from op3.apps.support import library_motion, output_folder, reported, run_folder
@@ -131,12 +131,10 @@ def main(cfg: DictConfig) -> Diagnosed:
     torch.set_num_threads(1)
     threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
     began, folder = time.process_time(), output_folder()
-    if not cfg.planned:
-        check_given(cfg, "data", "a log or a folder of logs")
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
     if cfg.planned and not OmegaConf.is_missing(cfg, "data"):
-        raise ValueError("planned= and data= exclude each other: the one is simulated, the other was recorded")
+        raise ValueError("planned= and data= cannot be combined: planned motions are simulated, data were recorded")
     whole(cfg, "episodes", 1)
     for name in cfg.without:
         effect_class(name)

@@ -5,15 +5,14 @@ python experiments/emulate_robot.py model=paper scene=floor
 python experiments/emulate_robot.py robot=path/to/my_robot.yaml model=own
 """
 
+import math
 import signal
 import sys
 import time
 from collections.abc import Callable
-from types import FrameType
 
 from omegaconf import DictConfig
 
-from op3.apps.fields import positive, whole
 from op3.apps.job import one_sentence
 from op3.apps.support import seeded_faults
 from op3.deploy.emulated import physics_maker
@@ -42,71 +41,48 @@ def robot(cfg: DictConfig) -> EmulatedRobot:
     )
 
 
-class Ending:
-    """Signals that end the serving, whenever they come; what has to be done then is done whole."""
-
-    def __init__(self) -> None:
-        self._asked = False
-        self._server: PtyServer | None = None
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            # A shell starts what it puts into the background without Ctrl-C; `nohup` asks to outlive the terminal.
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._receive)
-
-    def _receive(self, number: int, frame: FrameType | None) -> None:
-        self._asked = True
-        if self._server is not None:
-            self._server.stop()
-
-    @staticmethod
-    def over() -> None:
-        """From now on signals change nothing: Python gives them their deadly meaning back while it shuts down."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
-
-    def ends(self, server: PtyServer) -> None:
-        """A server that the signals end; at once if there has been one."""
-        self._server = server
-        if self._asked:
-            server.stop()
+def ending_signals() -> set[signal.Signals]:
+    """The signals that end the serving; they wait, whenever they come, until `watch` takes them."""
+    ends = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # `nohup` asks to outlive the terminal
+        ends.remove(signal.SIGHUP)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    return ends
 
 
-def watch(server: PtyServer, duration: float | None, say: Callable[[str], None]) -> None:
+def watch(server: PtyServer, duration: float | None, ends: set[signal.Signals], say: Callable[[str], None]) -> None:
     """Wait for the end; say once if the machine is too busy to answer in time."""
-    end, warned = None if duration is None else time.monotonic() + duration, False
-    while server.alive and (end is None or time.monotonic() < end):
-        server.wait(WATCH_EVERY if end is None else min(WATCH_EVERY, max(0.0, end - time.monotonic())))
+    end, warned = math.inf if duration is None else time.monotonic() + duration, False
+    while server.alive and (left := end - time.monotonic()) > 0:
+        if signal.sigtimedwait(ends, min(WATCH_EVERY, left)) is not None:
+            break
         if server.longest_lag > LARGEST_LAG and not warned:
             warned = True
             say(
                 f"{1e3 * server.longest_lag:.0f} ms behind the wall clock: this machine is too busy, and a program on"
                 " the port sees servos that answer late or not at all"
             )
+    server.wait(0.0)  # raises what has ended it
 
 
 def main(cfg: DictConfig) -> None:
     """Build the robot and serve it."""
-    ending, say = Ending(), quietly(lambda text: print(text, flush=True))
+    ends, say = ending_signals(), quietly(lambda text: print(text, flush=True))
     with one_sentence():
-        whole(cfg, "baud", 1)
-        if cfg.duration is not None:
-            positive(cfg, "duration", "seconds")
         emulated = robot(cfg)
     failure = ""
     with PtyServer(emulated, cfg.baud) as server:
         say(f"port: {server.path}")
         if load_robot(cfg.robot).file.board is not None:
             say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
-        ending.ends(server)
         try:
-            watch(server, cfg.duration, say)
+            watch(server, cfg.duration, ends, say)
         except Exception as error:
             failure = f"the emulated robot has stopped: {error}"
     try:
         emulated.close()
     except OSError as error:
         failure = failure or f"the recording of frames is not whole: {error}"
-    ending.over()
     say(f"emulated {emulated.time:.1f} s; at most {1e3 * server.longest_lag:.0f} ms behind the wall clock")
     if failure:
         print(failure, file=sys.stderr)

@@ -138,13 +138,15 @@ def card_folder(cfg: DictConfig) -> Path | None:
     """Folder of the bundle that gets a card; None where none is asked for.
 
     Raises:
-        ValueError: if the policy is no bundle, or nothing can be written there: known before minutes of episodes.
+        ValueError: if the policy is not a bundle, or nothing can be written there: known before minutes of episodes.
     """
     if not cfg.card:
         return None
     folder = here_or_shipped(cfg.policy)
     if not (folder / MANIFEST).is_file():
-        raise ValueError(f"card=true writes into a policy bundle, and policy={cfg.policy} is none; give its folder")
+        raise ValueError(
+            f"card=true writes into a policy bundle, but policy={cfg.policy} is not one; give a bundle's folder"
+        )
     if not os.access(folder, os.W_OK):
         raise ValueError(f"card=true: nothing can be written to {cfg.policy}; copy the bundle to a folder of your own")
     return folder
@@ -200,7 +202,6 @@ def main(cfg: DictConfig) -> Evaluated:
     if OmegaConf.is_missing(cfg, "policy"):
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
     whole(cfg, "episodes", 1)
-    whole(cfg, "card_robots", 1)
     if cfg.robot is not None:
         cfg.task.robot = cfg.robot
     folder, task = output_folder(), instantiate(cfg.task)

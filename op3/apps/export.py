@@ -11,7 +11,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given, plain
+from op3.apps.fields import plain
 from op3.apps.support import output_folder
 from op3.common.writing import write_text
 from op3.identify.prediction_score import predict_logs
@@ -23,7 +23,6 @@ from op3.sim.foreign_models import EXPRESSES, expressed, to_bam, to_mjcf
 
 def main(cfg: DictConfig) -> CommandResult:
     """Write the file, say what is not in it, and how much worse that predicts the logs."""
-    check_given(cfg, "model", "a model.yaml, a run's folder or a name")
     if cfg.to not in EXPRESSES:
         raise ValueError(f"to={cfg.to}: write one of {', '.join(EXPRESSES)}; mjlab and Playground take mjcf")
     logs = read_logs(plain(cfg.data), cfg.robot) if cfg.data is not None else []

@@ -2,7 +2,6 @@
 
 import dataclasses
 import glob
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,6 +41,8 @@ class Common:
     processes: Whole = 0
     number: Whole = 0
     rounds: Whole = 0
+    baud: Count = 1
+    card_robots: Count = 1
     repeats: Count = 1
     environments: Count = 1
     finalists: Count = 1
@@ -69,6 +70,7 @@ class Common:
     mount_change: NotNegative = 1.0
     cycle: Positive | None = None
     duration: Positive | None = None
+    seconds: Positive = 1.0
     speed: Positive = 1.0
     span: Positive = 1.0
     initial_gain: Gain = 1.0
@@ -106,6 +108,7 @@ REQUIRED = {
     "model": "a model.yaml or a name in assets/models",
     "runs": "the folder of a multirun of op3 identify",
     "what": "a log, a policy bundle, a model.yaml, a robot file or the run of a diagnosis",
+    "robot": "a name in assets/robots or a robot file",
 }
 """What the fields hold that a command cannot do without."""
 
@@ -120,14 +123,19 @@ def check(cfg: DictConfig) -> None:
     Common.of(cfg)
     if "wandb" in cfg:
         WandbSettings.of(plain(cfg.wandb))
-    for name, default in read_yaml(config_file(HydraConfig.get().job.config_name or "")).items():
+    defaults = read_yaml(config_file(HydraConfig.get().job.config_name or ""))
+    for name, default in defaults.items():
         kind, wanted = KINDS.get(type(default), (object, ""))
         open_ended = isinstance(default, str) and re.match(r"\$\{|\?\?\?", default)
         if name in cfg and not open_ended and not isinstance(cfg[name], kind):
             raise ValueError(f"{name} must be {wanted}, got {shown(plain(cfg[name]))}")
     for name, what in REQUIRED.items():
-        if name in cfg and OmegaConf.is_missing(cfg, name) and not (name == "data" and cfg.get("planned")):
+        if name == "data" and cfg.get("planned"):
+            continue
+        if OmegaConf.is_missing(cfg, name):
             raise ValueError(f"{name} is missing: add {name}=<{what}>")
+        if defaults.get(name) == "???" and not isinstance(plain(cfg[name]), str | list):
+            raise ValueError(f"{name} must be {what}, got {shown(plain(cfg[name]))}")
     for name in LOGS:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
@@ -144,18 +152,6 @@ def plain(node: Any) -> Any:
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
-def positive(cfg: DictConfig, name: str, unit: str) -> float:
-    """The number in a config's field.
-
-    Raises:
-        ValueError: unless it is above 0 and finite.
-    """
-    value = cfg[name]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise ValueError(f"{name} must be a number of {unit} above 0, got {value!r}")
-    return float(value)
-
-
 def whole(cfg: DictConfig, name: str, least: int) -> int:
     """The whole number in a config's field, which may be a dotted one.
 
@@ -166,11 +162,3 @@ def whole(cfg: DictConfig, name: str, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     return value
-
-
-def check_given(cfg: DictConfig, name: str, what: str) -> None:
-    """Refuse a config whose field `name` is still `???`, or neither a text nor a list."""
-    if OmegaConf.is_missing(cfg, name):
-        raise ValueError(f"{name} is missing: add {name}=<{what}>")
-    if not isinstance(plain(cfg[name]), str | list):
-        raise ValueError(f"{name} must be {what}, got {shown(plain(cfg[name]))}")

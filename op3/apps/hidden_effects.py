@@ -23,7 +23,7 @@ from op3.report import run_provenance, write_result
 from op3.report.naming_page import naming_page
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers
 from op3.stand_in.bench import commit, draw_mix, read_cost, run_all
-from op3.stand_in.score import BenchVerdict, confusion, random_name, read_verdict, score_case, summarise
+from op3.stand_in.score import BenchVerdict, random_name, read_verdict, score_case, summarise
 from op3.stand_in.world import read_ranges
 
 INTERRUPTED = goes_on("cases")
@@ -62,9 +62,8 @@ def report(
     rng = np.random.default_rng([cfg.first_seed, 50])
     blind = [score_case(answers[case.name], random_name(CATALOGUE, case.joints, rng)) for case in cases]
     summaries["random name"] = summarise(blind)
-    table = confusion(rows)
     commitment = hashlib.sha256((folder / "answers.sha256").read_bytes()).hexdigest()
-    page = naming_page(rows, summaries, table, f"Hidden effects, {cfg.set} set, {len(rows)} cases", commitment)
+    page = naming_page(rows, summaries, f"Hidden effects, {cfg.set} set, {len(rows)} cases", commitment)
     provenance = {**run_provenance(seed=cfg.first_seed), "command": command_of_run()}
     page.provenance(provenance)
     page.files({"scores.yaml": "every case", "result.yaml": "all numbers", "answers.sha256": "the sealed answers"})
@@ -74,7 +73,6 @@ def report(
         "set": cfg.set,
         "answers_sha256": commitment,
         **{label.replace(" ", "_"): summary for label, summary in summaries.items()},
-        "confusion": {"truths": table[0], "claims": table[1], "counts": table[2]},
         "provenance": provenance,
     }
     files = (index, write_result(folder / "result.yaml", result))

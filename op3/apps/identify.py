@@ -18,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given, plain
+from op3.apps.fields import plain
 from op3.apps.job import configured, goes_on
 from op3.apps.support import focus_joints, logs_where, output_folder, reported, run_folder
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
@@ -71,7 +71,7 @@ def identify(
         robot: that made the logs; None: what they say.
         groups: of parameters to search; None: ``motor, gear, friction, body``.
         effects: of the catalogue, switched on in addition.
-        method: a name in ``conf/method``: ``tpe``, ``lsq``, ``cmaes``; None: ``tpe``.
+        method: ``tpe``, ``lsq``, ``cmaes`` or ``tpe+lsq``; None: ``tpe``.
         ablate: effects to switch off for comparison; None: ``dte``.
         trials: of the study; None: those of the method.
         seed: of everything random.
@@ -165,7 +165,6 @@ def main(cfg: DictConfig) -> Any:
     """Evaluate a population for the sweeper, or run the study and report it."""
     torch.set_num_threads(1)
     started = datetime.now()
-    check_given(cfg, "data", "a log, a folder of logs, or a list of them")
     for name in cfg.ablate:
         effect_class(name)
     model = base_model(cfg)

@@ -12,7 +12,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given, plain
+from op3.apps.fields import plain
 from op3.apps.support import output_folder
 from op3.common.private import masked
 from op3.common.settings import parse_yaml
@@ -38,7 +38,7 @@ def look(path: Path, cfg: DictConfig) -> bool:
                 print(f"written to {side_path(path)}; correct it there")
             except OSError as error:
                 problem = f"{side_path(path)}: {(error.strerror or str(error)).lower()}"
-                print(f"{problem}; copy the log to a folder in which its YAML can lie", file=sys.stderr)
+                print(f"{problem}; copy the log to a folder where its YAML can be written", file=sys.stderr)
     options = {name: plain(cfg[name]) for name in OPTIONS if name in cfg}
     try:
         logs = read_episodes(path, options, check=False, robot=cfg.robot, proposed=proposed)
@@ -57,13 +57,12 @@ def show(log: Rollout, name: str) -> bool:
     for finding in merge_findings(findings):
         print("\n".join(f"  {name}: {value}" for name, value in finding.row().items() if value), end="\n\n")
     if not findings:
-        print("the checks find nothing wrong")
+        print("the checks found nothing wrong")
     return not any(finding.severity == ERROR for finding in findings)
 
 
 def main(cfg: DictConfig) -> CommandResult:
     """Look at every log that `data` names."""
-    check_given(cfg, "data", "a log, a folder of logs, or a list of them")
     data = plain(cfg.data)
     paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
     usable = [look(path, cfg) for path in paths]

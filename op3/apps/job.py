@@ -1,4 +1,4 @@
-"""What stands between Hydra and a command's function: configs from Python, errors in one sentence, printed results."""
+"""Runs commands for Hydra and for Python: composes configs, ends errors in one sentence, prints results."""
 
 import importlib
 import os

@@ -14,7 +14,7 @@ import torch
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.fields import check_given, plain
+from op3.apps.fields import plain
 from op3.apps.job import configured
 from op3.apps.support import focus_joints, logs_where, reported, run_folder
 from op3.identify.prediction_score import PredictionScore, predict_logs
@@ -68,7 +68,6 @@ def main(cfg: DictConfig) -> Predicted:
     """Predict, measure, report."""
     torch.set_num_threads(1)
     started = time.monotonic()
-    check_given(cfg, "data", "a log, a folder of logs, or a list of them")
     logs = logs_where(read_logs(plain(cfg.data), cfg.robot), plain(cfg.where), "where")
     joints = focus_joints(plain(cfg.joints), logs)
     score = predict_logs(

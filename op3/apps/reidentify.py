@@ -94,14 +94,14 @@ def build(cfg: DictConfig) -> Reidentification:
     names = [name for name in cfg.parameters if PREFIX + name in space]
     absent = [name for name in names if name not in known]
     if absent:
-        raise ValueError(f"groups: {absent[0]!r} is no parameter of {cfg.model}; leave its group out")
+        raise ValueError(f"groups: {absent[0]!r} is not a parameter of {cfg.model}; leave its group out")
     episodes, others = that_count(read_logs(plain(cfg.episodes)))
     if others:
         print(f"{len(others)} episodes do not count: they ended by {ended_by(others)}, not by a fall", flush=True)
     if not episodes:
         raise ValueError(
-            f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, as no simulation of the policy does;"
-            " diagnose the robot, fix the cause, and record others"
+            f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, which no simulation of the policy"
+            " reproduces; diagnose the robot, fix the cause, and record others"
         )
     return Reidentification(
         model,
@@ -122,7 +122,7 @@ def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
     """The model file with what a diagnosis finds missing, made once in the run's folder.
 
     Raises:
-        ValueError: with -m, where jobs of their own would each diagnose.
+        ValueError: with -m, where every job would diagnose again.
     """
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         raise ValueError(

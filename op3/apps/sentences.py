@@ -9,7 +9,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from op3.apps.command_help import config_file, files, names_in, settings_of
+from op3.apps.command_help import config_file, names_in, settings_of
 from op3.common.settings import nearest
 
 
@@ -24,7 +24,7 @@ def explained(error: Exception, config: str) -> str:
         return f"{name} has several values: add -m to run one after another, or write {name}=[{values}] for a list"
     if "Config group override must be" in text:
         named = [word.partition("=") for word in sys.argv[1:]]
-        return next((no_such(group, name) for group, _, name in named if (files() / "conf" / group).is_dir()), text)
+        return next((no_such(group, name) for group, _, name in named if names_in(group)), text)
     if found := re.search(r"Could not override '([^']+)'", text):
         asked, known = found[1].lstrip("+"), known_settings(config)
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):

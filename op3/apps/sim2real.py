@@ -21,7 +21,7 @@ from op3.apps.collect import collect, exit_code
 from op3.apps.command_result import CommandResult
 from op3.apps.diagnose import diagnose
 from op3.apps.evaluate import evaluate
-from op3.apps.fields import plain, positive
+from op3.apps.fields import plain
 from op3.apps.identify import identify
 from op3.apps.job import configured, goes_on
 from op3.apps.reidentify import reidentify
@@ -48,8 +48,6 @@ ROBOTS = ("emulated", "real")
 """Robots that play policies."""
 UNHEARD = ("train.", "task.", "algorithm.", "environment", "evaluation.", "robot.")
 """Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
-MOST = 10.0
-"""Largest criterion: beyond, somebody meant per cent."""
 TOLD = {"balance": "Balancing on a board that tilts", "walk": "Walking"}
 """Tasks as the page names them."""
 EXPECTED_SEED = 1_000_003
@@ -180,7 +178,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
     name = chosen("budget")
     if name not in cfg.budgets:
         raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
-    if positive(cfg, "criterion", "promised returns") > MOST:
+    if not 0 < cfg.criterion <= 10:  # beyond, somebody meant per cent
         raise ValueError(f"criterion is a share of the promised return, 0.8 for 80 %, got {cfg.criterion}")
     if chosen("source") == "emulated":
         HiddenWorld.find(cfg.world, cfg.world_seed)
@@ -214,7 +212,7 @@ def trained_on(cfg: DictConfig) -> str:
         known = ""
     if made.training.model_hash and known != made.training.model_hash:
         raise ValueError(
-            f"policy={cfg.policy} was trained on the model {made.training.model_hash}, and {name} is not that;"
+            f"policy={cfg.policy} was trained on the model {made.training.model_hash}, but {name} is a different model;"
             " give trained_on=<its model.yaml>"
         )
     return str(name)
@@ -305,8 +303,8 @@ def reidentified(
     counting, others = that_count(read_logs(failed.episodes))
     if not counting:
         learned.remarks.append(
-            f"Nothing was re-identified in round {number}: all episodes ended by {ended_by(others)}, as no simulation"
-            " of the policy does."
+            f"Nothing was re-identified in round {number}: all episodes ended by {ended_by(others)}, which no"
+            " simulation of the policy reproduces."
         )
         return model
     where = {"policy": failed.policy, "model": model, "data": squat, "episodes": failed.episodes, "groups": groups}
@@ -318,7 +316,7 @@ def reidentified(
 
 
 def what_is_done(cfg: DictConfig) -> str:
-    """Task and robot, for who reads the page alone."""
+    """Task and robot, for readers of the page alone."""
     robot = f"The robot is emulated: its truth, `{cfg.world}`, is hidden from all that learns."
     return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 

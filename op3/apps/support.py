@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from op3.apps.command_result import CommandResult
 from op3.apps.fields import plain
 from op3.apps.job import command_of_run, composed, override
-from op3.common.assets import find_model, motion_names
+from op3.common.assets import find_model, named_configs
 from op3.common.private import scrub
 from op3.common.settings import nearest
 from op3.common.wandb_settings import WandbSettings
@@ -142,12 +142,12 @@ def provenance(cfg: DictConfig, data: Any = None) -> dict[str, Any]:
 
 
 def library_motion(name: str, robot: str = DEFAULT) -> "Motion":
-    """A motion by its name in `conf/motion` or `conf/motion_variants.yaml`, for this robot if it is one for any.
+    """A motion by its name in `conf/motion` or `conf/variants.yaml`, for this robot if it is one for any.
 
     Raises:
         ValueError: if there is none of this name.
     """
-    known = motion_names()
+    known = named_configs("motion")
     if name not in known:
         raise ValueError(f"there is no motion {name!r}{nearest(name, known)}")
     return instantiate(composed("collect", [f"motion={name}", override("robot", robot)]).motion)

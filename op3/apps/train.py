@@ -117,7 +117,7 @@ def chosen_task(cfg: DictConfig) -> Task:
 
 
 def actions(cfg: DictConfig, task: Task) -> ActionMap:
-    """What actions mean: the same as those of the policy to start with; with `fixed_gain` they command angles alone."""
+    """The meaning of actions: that of the policy to start from, if any; with `fixed_gain` they command angles only."""
     start = earlier(cfg)
     made = task.action_map() if start is None else start.manifest.action_map
     if cfg.fixed_gain is None:

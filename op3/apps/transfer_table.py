@@ -23,7 +23,7 @@ INTERRUPTED = "The same command goes on from the stages done."
 
 
 def main(cfg: DictConfig) -> CommandResult | None:
-    """Run one cell and write the table anew; a cell that cannot be run leaves the others."""
+    """Run one cell and rewrite the table; a cell that fails does not stop the others."""
     check(cfg)
     folder = output_folder().absolute()
     (folder / FAILED).unlink(missing_ok=True)

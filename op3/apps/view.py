@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 
-from op3.apps.fields import check_given
 from op3.apps.support import output_folder
 from op3.common.assets import here_or_shipped, model_names
 from op3.common.settings import read_yaml
@@ -77,7 +76,7 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
     except FileNotFoundError:
         if cfg.model is not None:
             raise
-        print(f"{model}, on which the policy was trained, is not here; it is shown on `paper`", file=sys.stderr)
+        print(f"{model}, on which the policy was trained, was not found; it is shown on `paper`", file=sys.stderr)
         model = "paper"
     env = actor.environment(task, model, 1, cfg.seed, num_threads=1)
     watched = Watched(actor.policy, env)
@@ -132,7 +131,7 @@ def watch(cfg: DictConfig, out: Path) -> None:
         print(summary_line(tracks), flush=True)
         seen.append(tracks)
     if not seen:
-        raise ValueError(f"what={cfg.what}: no log began there; start op3 deploy with hydra.run.dir={cfg.what}")
+        raise ValueError(f"what={cfg.what}: no log was started there; start op3 deploy with hydra.run.dir={cfg.what}")
     draw(seen, cfg, out)
 
 
@@ -158,7 +157,6 @@ def main(cfg: DictConfig) -> None:
     """Show it, or write it."""
     torch.set_num_threads(1)
     folder = output_folder()
-    check_given(cfg, "what", "a log, a policy bundle, a model.yaml or the run of a diagnosis")
     out = None if cfg.out is None else Path(cfg.out)
     if out is not None and out.name != "rerun" and out.suffix not in (".mp4", ".webp", ".rrd"):
         raise ValueError(f"out must end with .mp4, .webp or .rrd, or be rerun, got {cfg.out}")

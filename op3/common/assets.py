@@ -46,24 +46,22 @@ def conf_folder() -> Path:
     return installed if installed.is_dir() else _PACKAGE.parent / "conf"
 
 
-def named_configs(group: str) -> dict[str, Path]:
-    """The config files of a group that come with the project, by name: ``conf/<group>/<name>.yaml``.
-
-    Args:
-        group: folder below `conf/`.
-    """
-    return {path.stem: path for path in sorted((conf_folder() / group).glob("*.yaml"))}
-
-
 @lru_cache(maxsize=1)
-def motion_variants() -> dict[str, dict[str, Any]]:
-    """Motions of ``conf/motion_variants.yaml`` by name: their `family`, a config of ``conf/motion``, and its fields."""
-    return read_yaml(conf_folder() / "motion_variants.yaml")
+def config_variants() -> dict[str, dict[str, dict[str, Any]]]:
+    """The configs of ``conf/variants.yaml``, by group with its package, as Hydra reads them."""
+    groups = read_yaml(conf_folder() / "variants.yaml")
+    for entries in groups.values():
+        for name, fields in entries.items():
+            if family := fields.pop("family", None):
+                entries[name] = {"defaults": [family, "_self_"], **fields, "name": name}
+    return groups
 
 
-def motion_names() -> tuple[str, ...]:
-    """Names of the motions that come with the project, families and their variants."""
-    return tuple(sorted({*named_configs("motion"), *motion_variants()}))
+def named_configs(group: str) -> dict[str, Path | dict[str, Any]]:
+    """The project's configs of a group, by name: a file of ``conf/<group>``, or a variant's content."""
+    files = {path.stem: path for path in (conf_folder() / group).glob("*.yaml")}
+    variants = {name.partition("@")[0]: entries for name, entries in config_variants().items()}
+    return dict(sorted({**files, **variants.get(group, {})}.items()))
 
 
 @lru_cache(maxsize=1)

@@ -113,7 +113,7 @@ _WANTED = {
 def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Group]], type[_Group]]:
     """Make a class a frozen dataclass whose fields are checked.
 
-    Types are strict: true is no number and "3" is no 3, but a whole number may stand where a number belongs.
+    Types are strict: true is not a number and "3" is no 3, but a whole number may stand where a number belongs.
 
     Args:
         what: the settings are of, said before the field; nothing where the field speaks for itself.
@@ -166,7 +166,7 @@ def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
     if name == "value_error":
         return Fault(place, given, "", context["error"])
     if name in ("unexpected_keyword_argument", "extra_forbidden"):
-        return Fault(place, given, "", f"is no field{nearest(place[-1], _fields(kind, place))}")
+        return Fault(place, given, "", f"is not a field{nearest(place[-1], _fields(kind, place))}")
     if name in ("missing", "missing_argument"):
         return Fault(place, given, "", "is missing: give it")
     wanted = _WANTED[name].format(**context) if name in _WANTED else f"as it is described ({detail['msg']})"
@@ -303,15 +303,15 @@ def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] =
         raise raises(problem, "keep the one that is right", source=source, column=f"field {key}") from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise raises(f"line {line} is no valid YAML ({error.problem})", "correct it", source=source) from None
+        raise raises(f"line {line} is not valid YAML ({error.problem})", "correct it", source=source) from None
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError):
         # PyYAML lets errors of its value constructors through unmarked
         remedy = "write plain `name: value` lines with valid numbers"
-        raise raises("the text is no valid YAML", remedy, source=source) from None
+        raise raises("the text is not valid YAML", remedy, source=source) from None
     if not isinstance(values, dict):
         kind = "empty" if values is None else f"a {type(values).__name__}"
         raise raises(f"the file is {kind} and no mapping", "write one `name: value` per line", source=source)
     for name in values:
         if not isinstance(name, str):
-            raise raises(f"{name!r} is no name", "write one `name: value` per line", source=source)
+            raise raises(f"{name!r} is not a name", "write one `name: value` per line", source=source)
     return values

@@ -1,4 +1,4 @@
-"""Back-drivability: how joints give way to a torque that grows slowly, at states of the gait, through the whole law."""
+"""Back-drivability: how joints yield to a slowly growing torque at states of the gait, through the whole servo law."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ MOST = 2.0
 """Torque at which the ramp ends [N m]; half of what a servo stalls at."""
 
 MOVED = 3 * POSITION_UNIT
-"""Displacement that counts as giving way [rad]: three counts of the encoder."""
+"""Displacement that counts as breaking away [rad]: three counts of the encoder."""
 
 FITTED = 0.1
 """Displacement up to which the slope is fitted [rad]."""

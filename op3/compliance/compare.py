@@ -1,4 +1,4 @@
-"""One policy beside another: what the difference is worth, with intervals."""
+"""Differences between two policies, with intervals."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class Difference:
     """The first policy minus another one.
 
     Attributes:
-        landing: of peaks at landings that are alike.
+        landing: of peaks at matched landings.
         bricks: of the share of episodes passed on all grounds but the first; None where there is no other ground.
         push: of the largest push survived, mean over the directions [N s].
     """

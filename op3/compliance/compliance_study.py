@@ -35,7 +35,7 @@ FAMILY = tuple((step, height) for step in (0.03, 0.045, 0.06) for height in (0.0
 """Steps and foot heights [m] of the stiff walks that landings are compared with."""
 
 MINUTE = 60.0
-"""How long robots stand [s]; losses of its halves tell whether an hour may be reckoned from it."""
+"""How long robots stand [s]; the losses of its halves show whether it may be extrapolated to an hour."""
 
 STANDING = 4
 """Robots that stand."""
@@ -130,7 +130,7 @@ class Study:
 
     Args:
         grounds: names of tasks in which walking is counted; the first one is looked at in all detail.
-        seed: of the episodes, alike for all policies.
+        seed: of the episodes, the same for all policies.
         gain_scale: factor on every gain that is commanded.
     """
 
@@ -176,7 +176,7 @@ class Study:
         )
 
     def stand(self, name: str) -> Energy:
-        """What a minute of standing on a level board costs, for an hour to be reckoned from it.
+        """Energy of a minute of standing on a level board, to be extrapolated to an hour.
 
         Args:
             name: folder of a bundle for balancing, or hold.

@@ -1,4 +1,4 @@
-"""What walking and standing cost: power, currents and heat of every servo, an hour of it included."""
+"""Energy of walking and standing: power, currents and heat of every servo, extrapolated to an hour."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,12 +38,12 @@ class Energy:
     Attributes:
         power: that all motors draw, with its interval, [3] in W; what they feed back charges nothing.
         cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
-        current: root of the mean square of each motor's current, [joint] in A.
+        current: root mean square of each motor's current, [joint] in A.
         temperature: of each after an hour like this [C], [joint].
         joints: names.
-        drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where an
-            hour may be reckoned from them.
-        continuous: current that each servo carries for ever, of the weakest [A].
+        drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where they
+            may be extrapolated to an hour.
+        continuous: continuous current rating of the weakest servo [A].
     """
 
     power: Array

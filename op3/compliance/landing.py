@@ -15,13 +15,13 @@ WINDOW = 50
 """Milliseconds after a touchdown in which peaks are looked for."""
 
 ALIKE = np.array([0.03, 0.004])
-"""Differences of speed [m/s] and step height [m] up to which two landings count as alike."""
+"""Differences of speed [m/s] and step height [m] up to which two landings are matched."""
 
 RESAMPLES = 300
 """Of the bootstrap."""
 
 FEWEST = 20
-"""Pairs of alike landings below which nothing is compared."""
+"""Pairs of matched landings below which nothing is compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +76,10 @@ def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Landings of one walk minus alike ones of another.
+    """Landings of one walk minus matched ones of another.
 
     Attributes:
-        pairs: how many landings have a partner that is alike.
+        pairs: how many landings have a match.
         force: mean difference of the peak force and its 95 % interval [N]; None where there are too few pairs.
         acceleration: the same of the acceleration [m/s^2].
     """

@@ -42,7 +42,7 @@ GAP = 2.0
 """How long bytes may pause inside a row of answers [ms]."""
 
 SLOW_ANSWER = 24.0
-"""The same two where a USB adapter has its latency timer of 16 ms again, as it has when it was plugged in anew [ms]."""
+"""The same two where a USB adapter has its latency timer of 16 ms again, as after it was plugged in again [ms]."""
 
 ATTEMPTS = 3
 """How often a single read or write is tried."""

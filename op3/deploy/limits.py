@@ -31,7 +31,7 @@ class Limits:
 
     Attributes:
         peak_current: largest goal current of any joint [A]; None: that of each joint as the robot's file says.
-        continuous_current: what a servo carries for ever [A]; None: as its make's file says.
+        continuous_current: continuous current rating of a servo [A]; None: that in the file of its make.
         p_gain: largest P gain that a policy may ask for [A/rad].
         thermal_time: time constant with which the mean square of the current is formed [s].
         temperature: a servo at or above this ends the run [C].
@@ -75,7 +75,7 @@ class Limits:
         """Peak and continuous goal current [joint] in counts.
 
         Raises:
-            ValueError: if a peak lies below what is carried for ever, or above what the register takes.
+            ValueError: if a peak lies below the continuous rating, or above what the register takes.
         """
         units = Units(robot)
         peak = units.peak if self.peak_current is None else self.peak_current / units.current

@@ -24,7 +24,7 @@ RECENT = 1250
 
 
 class StatusPanel:
-    """Rewrites a block of text a few times a second; silent where the output is no terminal.
+    """Rewrites a block of text a few times a second; silent where the output is not a terminal.
 
     Writing is left to a thread: a terminal that stalls, such as one at the end of a slow network, must not hold up the
     loop. What it has no time to show is skipped; what is said appears above the block and stays there.

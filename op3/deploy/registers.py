@@ -164,7 +164,7 @@ class Units:
             if make.bus != "dynamixel-x" or make.model_number is None or make.loop != "current":
                 raise ValueError(
                     f"{robot.name}: the bus speaks to Dynamixel X servos in current mode, and that of {name}"
-                    f" ({make.name}, loop: {make.loop}) is none; for others bring logs (docs/logs.md), or take"
+                    f" ({make.name}, loop: {make.loop}) is not one; for other servos bring logs (docs/logs.md), or take"
                     " source=model"
                 )
             self.models[name] = make.model_number

@@ -182,7 +182,7 @@ class Calibration:
         offset: [joint] in rad; None for none.
 
     Raises:
-        ValueError: if an offset is no number, or so large that the horn must be on the wrong tooth.
+        ValueError: if an offset is not a number, or so large that the horn must be on the wrong tooth.
     """
 
     LARGEST = 0.3

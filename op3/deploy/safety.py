@@ -98,7 +98,7 @@ class Onlooker:
 
     @property
     def load(self) -> NDArray[np.float64]:
-        """[joint] mean square current over what a servo carries for ever."""
+        """[joint] mean square current over the square of the continuous rating."""
         return np.zeros(len(self._joints))
 
     def _checks(self, writer: Writer | None) -> StartChecks:
@@ -268,16 +268,16 @@ class Safety(Onlooker):
             raise Stop(ExitCode.TORQUE_LOST, f"{said}, though its torque is on; look at its motor and its driver")
 
     def _check_gap(self) -> None:
-        """A computer that was held up too long finds servos that ignore its goals until they are switched on anew."""
+        """A computer that was held up too long finds servos that ignore its goals until they are switched on again."""
         if not self.torque or self._write_time is None:
             return
         gap = self.bus.clock.now() - self._write_time
         if gap >= WATCHDOG * WATCHDOG_UNIT:
             reason = f"nothing was written for {1e3 * gap:.0f} ms, so the servos have let go by themselves"
-            raise Stop(ExitCode.OVERRUN, f"{reason}; free the computer of other work")
+            raise Stop(ExitCode.OVERRUN, f"{reason}; stop other programs on this computer")
 
     def _check_torque(self) -> None:
-        """After a long silence: a servo that started anew meanwhile has no torque and says nothing about it."""
+        """After a long silence: a servo that restarted meanwhile has no torque and says nothing about it."""
         off = [name for name, value in self.bus.sync_read("torque_enable").items() if not value]
         if off:
             raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
@@ -319,7 +319,7 @@ class Safety(Onlooker):
         clock = self.bus.clock
         end = clock.now() + patience
         for attempt in count():
-            # In turn as a tick waits, and as long as an adapter takes that was plugged in anew.
+            # In turn as a tick waits, and as long as an adapter takes that was plugged in again.
             waits = (SLOW_ANSWER, SLOW_ANSWER) if attempt % 2 else (FIRST_ANSWER, GAP)
             with self.bus.patience(*waits):
                 result = self._release_once()

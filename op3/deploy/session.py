@@ -246,7 +246,7 @@ class Session:
             heard = heard | np.append(state.answered, state.imu_answered is not False)
             if heard.all():
                 return
-        raise Stop(ExitCode.START_CHECK, "not everything on the bus answers a reading; check cables and power")
+        raise Stop(ExitCode.START_CHECK, "some devices on the bus do not answer; check cables and power")
 
     def _loop(self, phases: Sequence[Phase]) -> None:
         """Run the phases to their end, without a break between them."""

@@ -203,7 +203,7 @@ class StartChecks:
         odd = self._where(register, lambda value: abs(value - UNTOUCHED[register]) > allowed)
         if not odd:
             return "normal"
-        text, remedy = f"not normal: {odd}", "write it once with mode=setup, then calibrate"
+        text, remedy = f"not as expected: {odd}", "write it once with mode=setup, then calibrate"
         if register == "homing_offset":
             name, worst = max(away.items(), key=lambda item: abs(item[1]))
             angle = worst * self._bus.units.position[self._joints.index(name)]

@@ -94,7 +94,7 @@ class LevelSetSampler(NSGAIISampler):
     """NSGA-II of which the first children of every population are proposed by surrogates.
 
     Args:
-        proposals: at most so many of each population, for which this sampler is made anew.
+        proposals: at most so many of each population, for which this sampler is rebuilt.
         tolerated: the first objective may be so many times that of the trial marked as nominal, or of the lowest.
     """
 
@@ -114,7 +114,7 @@ class LevelSetSampler(NSGAIISampler):
             self._proposed = self._propose(study.get_trials(deepcopy=False), search_space)
         if not self._proposed:
             return super().sample_relative(study, trial, search_space)
-        self.get_trial_generation(study, trial)  # notes it, without which a trial is no parent
+        self.get_trial_generation(study, trial)  # notes it, without which a trial is not a parent
         return self._proposed.pop(0)
 
     def _propose(

@@ -9,7 +9,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
-from op3.common.assets import motion_variants
+from op3.common.assets import config_variants
 from op3.identify import search_groups
 from op3.identify.sweeper_conf import PopulationSweeperConf
 
@@ -21,10 +21,10 @@ def register() -> None:
     """Make them known to Hydra and OmegaConf; again is harmless."""
     ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
     search_groups.register()
-    for name, fields in motion_variants().items():
-        node = {"defaults": [fields["family"], "_self_"], **fields, "name": name}
-        del node["family"]
-        ConfigStore.instance().store(group="motion", name=name, node=node, provider="op3")
+    for place, entries in config_variants().items():
+        group, _, package = place.partition("@")
+        for name, node in entries.items():
+            ConfigStore.instance().store(group=group, name=name, node=node, package=package or None, provider="op3")
     for name in INTERPOLATIONS:
         OmegaConf.register_new_resolver(name, _resolver(name), replace=True)
     OmegaConf.register_new_resolver("stem", lambda path: Path(path).stem, replace=True)

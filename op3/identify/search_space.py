@@ -47,7 +47,7 @@ def parse_range(key: str, text: Any) -> FloatDistribution:
         # The key is checked against the config elsewhere; a fixed name keeps odd keys out of the grammar.
         sweep = OverridesParser.create().parse_override(f"x={text}")._value if isinstance(text, str) else text
         if not isinstance(sweep, IntervalSweep):
-            raise ValueError("it is no interval")
+            raise ValueError("it is not an interval")
         if sweep.tags - {"log"}:
             raise ValueError(f"of tags only `log` is known, not {', '.join(sorted(sweep.tags))}")
         low, high, log = sweep.start, sweep.end, "log" in sweep.tags

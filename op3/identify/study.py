@@ -41,7 +41,7 @@ FUTILE_POPULATIONS = 3
 FINISHED = (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
 
 LINE_SECONDS = 15.0
-"""Least time between two lines of progress where standard error is no terminal [s]."""
+"""Least time between two lines of progress where standard error is not a terminal [s]."""
 
 _OPTIMIZER_STATE = re.compile(r"(sepcma|cmawm|cma):optimizer")
 _SCRATCH = re.compile(r"tpe:relative_params")
@@ -95,7 +95,7 @@ def run_study(
         sampler: how parameters are proposed, see `op3.identify.samplers`.
         directions: `minimize` or `maximize` for each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
-        n_trials: finished trials, complete or failed, that the study shall have in all; each further worker may add two
+        n_trials: finished trials, complete or failed, of the whole study; each further worker may add two
             populations.
         nominal: parameters of the first trial, the baseline; None starts without one.
         starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the
@@ -137,7 +137,7 @@ def run_study(
             if futile >= FUTILE_POPULATIONS:
                 raise StudyError(
                     f"No trial has completed and the last {futile} populations all raised; the last error "
-                    f"is: {outcomes[-1].error} Mend it and start a new study (another study_name or storage)."
+                    f"is: {outcomes[-1].error} Fix it and start a new study (another study_name or storage)."
                 )
     return study
 
@@ -173,7 +173,7 @@ def as_outcome(result: Any) -> TrialOutcome:
         return TrialOutcome(tuple(float(value) for value in np.atleast_1d(result)))
     except (TypeError, ValueError) as error:
         raise StudyError(
-            f"evaluate returned {result!r} for a trial: return a number, a tuple of numbers, None or an Outcome."
+            f"evaluate returned {result!r} for a trial: return a number, a tuple of numbers, None or a TrialOutcome."
         ) from error
 
 
@@ -235,7 +235,7 @@ class _Session:
         told = [frozen[trial.number] for trial in trials]
         if any(other.params == one.params for other in self._pull() for one in told):
             raise StudyError(
-                f"Another process asks the same points as worker {self._worker}: give each process that shares the"
+                f"Another process requests the same points as worker {self._worker}: give each process that shares the"
                 " study a number of its own, hydra.sweeper.worker=1 and so on."
             )
         state_holder = next((t for t in reversed(told) if t.state == TrialState.COMPLETE), None)
@@ -282,7 +282,7 @@ def _open_study(
     try:
         wanted = [StudyDirection[direction.upper()] for direction in directions]
     except KeyError as error:
-        raise StudyError(f"The directions {list(directions)} are unclear: each is minimize or maximize.") from error
+        raise StudyError(f"The directions {list(directions)} must each be minimize or maximize.") from error
     opened = open_storage(storage)
     with _quiet_optuna():
         study = optuna.create_study(storage=opened, study_name=name, directions=wanted, load_if_exists=True)

@@ -111,7 +111,7 @@ def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
     for key in each:
         if key not in space:
             raise StudyError(
-                f"{key} is to be searched per joint, but it is not searched at all: add its group, or leave it out."
+                f"{key} is to be searched per joint, but is not searched at all: add its group, or leave it out."
             )
     labels = {key: [f"{key}@{JOINT}={label}" for label in each[key]] if key in each else [key] for key in space}
     return {name: distribution for key, distribution in space.items() for name in labels[key]}

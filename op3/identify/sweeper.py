@@ -6,8 +6,8 @@ launches one job through the configured launcher with `population=<file>`; in th
 file and returns the results. Either way the study asks the same trials.
 
 Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid: one study, and one folder, for each
-cell. The search space comes from `hydra.sweeper.params` alone, read anew in every cell, so a config group may bring its
-own parameters.
+cell. The search space comes from `hydra.sweeper.params` alone, read again in every cell, so a config group may bring
+its own parameters.
 
 Folders:
 
@@ -244,7 +244,7 @@ def _reserve_folders(parent: Path, count: int) -> int:
 
 
 def _write_jobs(contents: Sequence[Any], overrides: list[str], folder: Path) -> tuple[int, list[list[str]]]:
-    """Write what jobs shall evaluate; return the number of the first and the overrides of each."""
+    """Write what jobs evaluate; return the number of the first and the overrides of each."""
     first = _reserve_folders(folder / "populations", len(contents))
     jobs = []
     for number, content in enumerate(contents, start=first):

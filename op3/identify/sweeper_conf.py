@@ -31,7 +31,7 @@ class PopulationSweeperConf:
     nominal: bool = True
     # trials that the experiment itself proposes after that, before the sampler; 0: none
     starts: int = 0
-    # null: drawn anew for each new study
+    # null: redrawn for each new study
     seed: int | None = None
     # config key -> range, such as interval(0.003, 0.009)
     params: dict[str, Any] = field(default_factory=dict)

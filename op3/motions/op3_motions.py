@@ -123,7 +123,7 @@ def soften(
     lean: float = SQUAT_LEAN,
     name: str = "soften",
 ) -> Motion:
-    """A crouch whose gain falls and rises: the joints give way to the weight where motor and friction cannot hold.
+    """A crouch whose gain falls and rises: the joints yield to the weight where motor and friction cannot hold.
 
     It slips where |motor torque| = backward efficiency x |load| less Coulomb friction, and stiffens again from there.
 
@@ -238,7 +238,9 @@ def leg_angles(ankle: Array, lean: float | Array = 0.0) -> dict[str, Array]:
     down = np.hypot(y, z)
     reach = np.hypot(x, down)
     if (reach >= THIGH + SHIN).any() or (reach <= abs(THIGH - SHIN)).any():
-        raise ValueError(f"the ankle is out of the leg's reach of {THIGH + SHIN:.4f} m: at {reach.max():.4f} m")
+        raise ValueError(
+            f"the ankle is {reach.max():.4f} m from the hip, out of the leg's reach of {THIGH + SHIN:.4f} m"
+        )
     knee = np.arccos((reach**2 - THIGH**2 - SHIN**2) / (2 * THIGH * SHIN))
     # tilts from the vertical about +y: of the line from hip to ankle, and of the thigh
     tilt = np.arctan2(-x, down) - np.arcsin(SHIN * np.sin(knee) / reach)

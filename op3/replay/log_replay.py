@@ -47,7 +47,7 @@ class Replay:
     The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and
     then receives each command at the control tick at which it was in force. Nothing measured after the first
     row reaches the simulation, except the bus voltage where the log has it. A log from the stand may have some limbs
-    only, whole ones; the others are left away. A robot's PD ticks at the rate of the log's rows, or at the
+    only, whole ones; the others are left out. A robot's PD ticks at the rate of the log's rows, or at the
     ``control_rate`` [Hz] of its metadata's ``extra``. Servos that close the loop themselves do so with the gain of the
     log or of its metadata, else with that of their make.
 
@@ -105,7 +105,7 @@ class Replay:
             ValueError: if a bench is to be pushed.
         """
         if push is not None and any(group.setup.pendulum for group in self._groups):
-            raise ValueError("push: a bench has no place for a torque beside its servo's")
+            raise ValueError("push: a bench takes no torque besides its servo's")
         predictions: dict[int, Prediction] = {}
         for group in self._groups:
             predictions.update(group.run(model, parameters or {}, candidates, progress, push))

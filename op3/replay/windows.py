@@ -63,7 +63,7 @@ class WindowResiduals:
         windows: log and tick at which each begins.
         measured: ``[window, tick, joint, channel]``.
         known: what is compared, ``[joint, channel]``: recorded, and not set aside by the checks of a log; the rate of a
-            bench's angle is no reading of its own.
+            bench's angle is not a reading of its own.
         motion: of all windows' ticks one behind another, each with its lead.
     """
 

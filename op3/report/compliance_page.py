@@ -33,7 +33,9 @@ def report_compliance(
     first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
     energies = {each.label: each.energy for each in measured} | {f"{n}, standing": e for n, e in standing.items()}
     currents = {label: dict(zip(e.joints, e.current.tolist(), strict=True)) for label, e in energies.items()}
-    limit: dict[str, Any] = dict(y=first.energy.continuous, line=dict(dash="dot", width=1), annotation_text="for ever")
+    limit: dict[str, Any] = dict(
+        y=first.energy.continuous, line=dict(dash="dot", width=1), annotation_text="continuous rating"
+    )
     figures = {
         **({"gains": _gain_figure(known)} if known else {}),
         "slope": _back_drive_figure(measured, "slope", "slope [N m/rad]"),

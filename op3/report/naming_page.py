@@ -1,4 +1,4 @@
-"""The page of a hidden-effect bench: how often the right name was found, and what was called what."""
+"""The page of a hidden-effect bench: how often the right name was found."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.report.page import Page
-from op3.report.style import GROUND, INK, MUTED, NAMES, PALETTE, SHADE, colours, dress, plain, words
+from op3.report.style import INK, MUTED, NAMES, colours, dress, plain
 from op3.report.tables import TableRows
 
 LABELS = NAMES["rates"]
@@ -49,22 +49,6 @@ def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
     )  # fmt: skip
 
 
-def confusion_figure(truths: Sequence[str], claims: Sequence[str], counts: np.ndarray) -> go.Figure:
-    """What was hidden against what was claimed first; counts [truth, claim] in the cells."""
-    share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
-    figure = go.Figure(
-        go.Heatmap(
-            z=share, x=[words(name) for name in claims], y=[words(name) for name in truths],
-            text=np.where(counts > 0, counts.astype(str), ""), texttemplate="%{text}", zmin=0, zmax=1,
-            colorscale=[[0, GROUND], [0.001, SHADE], [1, PALETTE[0]]], showscale=False, xgap=1, ygap=1,
-            hovertemplate="hidden: %{y}<br>claimed: %{x}<br>%{z:.0%}<extra></extra>",
-        )
-    )  # fmt: skip
-    dress(figure, 200 + 22 * len(truths), margin=dict(l=220, r=16, t=24, b=170), hovermode="closest")
-    figure.update_yaxes(autorange="reversed", title_text="hidden [-]", showgrid=False)
-    return figure.update_xaxes(title_text="claimed first [-]", tickangle=-55, showgrid=False)
-
-
 def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> go.Figure | None:
     """Stated probability against the share that was right, by fifths; None where nothing was stated."""
     figure, colour = go.Figure(), colours(list(calibrations))
@@ -88,7 +72,6 @@ def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> go.Figu
 def naming_page(
     rows: Sequence[Mapping[str, Any]],
     summaries: Mapping[str, Mapping[str, Any]],
-    table: tuple[Sequence[str], Sequence[str], np.ndarray],
     title: str,
     commitment: str,
 ) -> Page:
@@ -97,14 +80,12 @@ def naming_page(
     Args:
         rows: score of every case of the first diagnosis.
         summaries: by label, the diagnosis first, baselines after it.
-        table: names of rows and columns of the confusion matrix, and its counts.
         title: of the page.
         commitment: SHA-256 of the list of sealed answers.
     """
     summary = next(iter(summaries.values()))
     figures = {
         "rates": rates_figure(summaries),
-        "confusion": confusion_figure(*table),
         "reliability": reliability_figure({label: s["calibration"] for label, s in summaries.items()}),
     }
     context = {"s": summary, "labels": LABELS, "title": title, "commitment": commitment}

@@ -54,7 +54,7 @@ def read_result(path: str | Path) -> dict[str, Any]:
     """Read results back, by dotted key.
 
     Raises:
-        ValueError: if the file is no mapping.
+        ValueError: if the file is not a mapping.
     """
     content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     if not isinstance(content, dict):

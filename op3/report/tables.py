@@ -83,7 +83,7 @@ def parameter_table(
 ) -> TableRows:
     """Parameters with unit, range and start of the search, and per model the value with its 90 % interval.
 
-    What was searched and ended at an end of its range is marked: that is no value that the data gave.
+    What was searched and ended at an end of its range is marked: that is not a value that the data gave.
 
     Args:
         models: by label.

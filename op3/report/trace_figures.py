@@ -7,9 +7,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.replay import Prediction
-from op3.report.figures import errors_figure
 from op3.report.panels import Panel, panels_figure
-from op3.report.style import COMMAND, MEASURED, words
+from op3.report.style import COMMAND, MEASURED, boxes_figure, words
 from op3.report.tables import TableRows
 from op3.rollout import CHANNELS, Rollout
 from op3.rollout.health import merge_findings
@@ -108,8 +107,13 @@ def bench_figures(
     order = sorted((i for i, error in enumerate(first) if error is not None), key=lambda i: first[i] or 0.0)
     chosen = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, SHOWN_RUNS).round().astype(int))]
     shown = {label: [members[i] for i in chosen] for label, members in predictions.items()}
+    boxes: dict[str, dict[str, list[float]]] = {}
+    for label, errors in errors_mrad.items():
+        for log, error, unseen in zip(logs, errors, heldout, strict=True):
+            motions = boxes.setdefault(f"{label}, held out" if unseen else label, {})
+            motions.setdefault(words(log.metadata.motion or "runs"), []).extend([] if error is None else [error])
     return {
-        "errors": errors_figure(logs, errors_mrad, heldout),
+        "errors": boxes_figure(boxes, "position error [mrad]"),
         "runs": runs_figure([logs[i] for i in chosen], shown),
     }
 

@@ -29,7 +29,7 @@ def film(
     """Draw states ``[frame, nq]`` at a rate [Hz] and write them, see `write_film`; None where MuJoCo cannot render.
 
     Args:
-        scene: in which the robot is; it is compiled anew, because simulations leave out what only pictures show.
+        scene: in which the robot is; it is recompiled, because simulations leave out what only pictures show.
         qpos: the first three numbers are the trunk's place.
         path: of the file to write.
         rate: frames per second [Hz].

@@ -162,7 +162,7 @@ class Playback:
             self.playing = self.playing and code not in (44, 46)
 
     def advance(self, elapsed: float) -> bool:
-        """Let time [s] pass; at the end it begins anew, and that is said."""
+        """Let time [s] pass; at the end it starts over, and that is said."""
         ahead = self.seconds + self.speed * elapsed * self.playing
         self.seconds = ahead % max(self.duration, 1e-9) if self.playing else ahead
         return self.playing and ahead >= self.duration
@@ -182,7 +182,7 @@ def window(stretches: Iterable[Tracks | None], joint: str | None = None, speed: 
     coming = iter(stretches)
     tracks = next((one for one in coming if one is not None), None)
     if tracks is None:
-        raise ValueError("there is nothing to show: no log began in this folder")
+        raise ValueError("there is nothing to show: no log was started in this folder")
     model = tracks.scene.compile()
     data, ghost, player = mujoco.MjData(model), mujoco.MjData(model), Playback(tracks.duration, speed=speed)
     states, strip = tracks.states(RATE), Strip(tracks, joint)

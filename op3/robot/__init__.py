@@ -1,6 +1,6 @@
 """Robots and servos as data."""
 
-from op3.common.assets import asset_path, named_configs
+from op3.common.assets import asset_path
 from op3.robot.entity import RobotEntity
 from op3.robot.kinematics import key_points, quaternion, sole_corners, standing_height
 from op3.robot.robot import DEFAULT, Robot, load_robot, pose
@@ -15,7 +15,6 @@ __all__ = [
     "key_points",
     "load_robot",
     "load_servo",
-    "named_configs",
     "pose",
     "quaternion",
     "sole_corners",

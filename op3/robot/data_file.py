@@ -29,7 +29,7 @@ def among(what: str, known: Iterable[str]) -> AfterValidator:
 
     def check(name: str) -> str:
         if name not in known:
-            raise ValueError(f"names the {what} {name!r}, which there is not{nearest(name, known)}")
+            raise ValueError(f"names the {what} {name!r}, which does not exist{nearest(name, known)}")
         return name
 
     return AfterValidator(check)
@@ -76,7 +76,7 @@ class DataFile:
 
     def unknown(self, place: Sequence[str | int], what: str, name: str, known: Iterable[str]) -> DataFileError:
         """That an entry names something there is not, with the nearest name there is."""
-        return self.fault(place, f"names the {what} {name!r}, which there is not{nearest(name, known)}")
+        return self.fault(place, f"names the {what} {name!r}, which does not exist{nearest(name, known)}")
 
     def read(self, kind: type[Content]) -> Content:
         """The file's content, checked.

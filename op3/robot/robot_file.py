@@ -248,7 +248,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] != mujoco.mjtJoint.mjJNT_HINGE:
             problem = (
-                "is no hinge in the model: write `travel: <m/rad>` for how far its servo moves a slide, `held: 0.0` "
+                "is not a hinge in the model: write `travel: <m/rad>` for how far its servo moves a slide, `held: 0.0` "
             )
             problem += "where it stays, or `coupled: {joint: <hinge>, ratio: <m/rad>}` where a hinge drives it"
             raise file.fault(place, problem)
@@ -262,7 +262,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if (loop := content.loop or makes[-1].loop) != (content.loop or makes[0].loop):
             first = f"{next(iter(content.joints))} has {makes[0].loop!r} ({makes[0].name})"
             whose = f"has a servo with the loop {loop!r} ({makes[-1].name}), where {first}"
-            raise file.fault(place, f"{whose}: say under `loop:` who closes that of all")
+            raise file.fault(place, f"{whose}: set one `loop:` for all servos")
         if entry.limits is not None:
             _check_limits(file, (*place, "limits"), entry.limits, model.joint(name), makes[-1].position_unit)
         if entry.bus_id is not None:
@@ -299,7 +299,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
 def _check_limits(
     file: DataFile, place: tuple[str, ...], limits: tuple[float, float], joint: Any, count: float
 ) -> None:
-    """Refuse what is no range, and what the joint of the model cannot reach by more than a count of its encoder."""
+    """Refuse what is not a range, and what the joint of the model cannot reach by more than a count of its encoder."""
     (low, high), (first, last) = limits, joint.range
     if not low < high:
         raise file.fault(place, f"go from {low:g} to {high:g}: the lower first")
@@ -328,7 +328,7 @@ def servo_path(file: Path, named: str) -> str | Path:
 
 
 def _make(file: DataFile, content: RobotFile, joint: str) -> ServoMake:
-    """The make of a joint's servo, which closes the loop if that is what it shall do."""
+    """The make of a joint's servo, with the loop that the file asks for."""
     own = content.joints[joint].servo
     named, place = own or content.servo, ("joints", joint, "servo") if own else ("servo",)
     if named is None:

@@ -126,7 +126,7 @@ class ServoRatings(Record):
         stall_torque: at the voltage `at` [N m].
         no_load_speed: at the voltage `at` [rad/s].
         current: largest [A].
-        continuous_current: that it carries for ever [A].
+        continuous_current: continuous rating [A].
         low_voltage: least supply [V].
         high_voltage: greatest supply [V].
         temperature: at which it switches itself off [C].
@@ -220,7 +220,7 @@ class ServoMake(Record):
 
     @property
     def continuous_current(self) -> float:
-        """What it carries for ever [A]; a fifth of the largest current where its file gives none."""
+        """Continuous current rating [A]; a fifth of the largest current where its file gives none."""
         limits = self.limits
         return 0.2 * self.peak_current if limits.continuous_current is None else limits.continuous_current.si
 
@@ -228,7 +228,7 @@ class ServoMake(Record):
     def thermal_resistance(self) -> float:
         """From windings to air [K/W].
 
-        Where its file gives none: the greatest that lets it carry `continuous_current` for ever, in air of 25 C.
+        Where its file gives none: the greatest that allows `continuous_current` continuously, in air of 25 C.
         """
         limits = self.limits
         if limits.thermal_resistance is not None:

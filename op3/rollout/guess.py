@@ -148,7 +148,7 @@ def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Col
     for name, joint in groups.items() if moved else ():
         if joint in moved or not meanings[name].why:
             continue
-        # what has neither angle nor target is no joint; a lone joint's own where its names say nothing else
+        # what has neither angle nor target is not a joint; a lone joint's own where its names say nothing else
         ours = str(meanings[name].name).replace(joint, next(iter(moved)), 1)
         why = f"no column has an angle of {joint}"
         lone = len(moved) == 1 and "servo" in moved and ours not in taken

@@ -105,7 +105,7 @@ def read_side(path: Path, options: Mapping[str, Any] | None = None, proposed: Ma
     given |= {name: value for name, value in (options or {}).items() if value is not None}
     with located(source=source):
         if (odd := next((name for name in options or {} if name not in OPTIONS), None)) is not None:
-            problem, remedy = f"{odd!r} is no option of an import", f"options are {', '.join(OPTIONS)}"
+            problem, remedy = f"{odd!r} is not an option of an import", f"options are {', '.join(OPTIONS)}"
             raise LogError(problem, rename(odd, OPTIONS, remedy))
         chosen = Options(**{name: value for name, value in given.items() if value is not None})
     return Side(values, chosen, source, bool(files or proposed))
@@ -281,7 +281,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
 
 
 def _is_held(name: str) -> bool:
-    """Whether a column holds until it is told anew."""
+    """Whether a column holds until it is stated again."""
     known = place(name)
     return known is not None and known[0].hold
 

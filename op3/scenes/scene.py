@@ -102,7 +102,7 @@ class Scene:
         return -rotation_matrix(self.tilt_roll, self.tilt_pitch).T @ gravity
 
     def compile(self, visual: bool = True) -> mujoco.MjModel:
-        """A MuJoCo model of the tree as it is now. Every call compiles anew.
+        """A MuJoCo model of the tree as it is now. Every call recompiles.
 
         Args:
             visual: whether geoms that only pictures show are in it. Without them all moves alike, and faster.
@@ -182,7 +182,7 @@ def build_scene(
         robot: a robot, its name, or the path of its file; on the stand any, elsewhere one with soles.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
-        joints: on the stand, limbs without any of these are left away: with a fixed base the others do not feel them.
+        joints: on the stand, limbs without any of these are left out: with a fixed base the others do not feel them.
             None: the whole robot.
     """
     known = load_robot(robot)
@@ -190,7 +190,7 @@ def build_scene(
     if name != "stand" and (tilt_roll or tilt_pitch):
         raise ValueError(f"only the scene 'stand' can be tilted, got tilt_roll and tilt_pitch for {name!r}")
     if name != "stand" and joints is not None:
-        raise ValueError(f"only on the scene 'stand' limbs can be left away, got joints for {name!r}")
+        raise ValueError(f"only the scene 'stand' can leave limbs out, got joints for {name!r}")
     if name == "bench":
         return build_bench()
     if name == "stand":

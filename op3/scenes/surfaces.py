@@ -1,4 +1,4 @@
-"""Uneven ground: fixed surfaces of bricks, and tiles whose heights are drawn anew for every simulation.
+"""Uneven ground: fixed surfaces of bricks, and tiles whose heights are redrawn for every simulation.
 
 The robot starts at the origin on the level floor; what is uneven begins ahead of it.
 """

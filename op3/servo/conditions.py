@@ -1,4 +1,4 @@
-"""Parameters that differ by a condition of the recording, such as the arm of a bench that was mounted anew.
+"""Parameters that differ by a condition of the recording, such as the arm of a bench that was remounted.
 
 Their names say when they hold: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
 ``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=elbow`` is that of one

@@ -25,7 +25,7 @@ TRACE = 1e-12
 
 @scalar
 def clip(value, low, high):
-    """The value within bounds; what is no number stays none, so that a simulation that diverged shows."""
+    """The value within bounds; what is not a number stays none, so that a simulation that diverged shows."""
     if value < low:
         return low
     return high if value > high else value

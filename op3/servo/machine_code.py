@@ -26,7 +26,7 @@ def entry(function: Callable[..., Any]) -> Any:
 
     What is kept counts as long as its file and the law are what they were: other functions it calls stand in that file.
 
-    Where neither the package's folder nor the user's cache can be written, each process compiles anew; the environment
+    Where neither the package's folder nor the user's cache can be written, each process recompiles; the environment
     variable `NUMBA_CACHE_DIR` names another folder. Other threads run meanwhile.
     """
     try:

@@ -100,7 +100,7 @@ def prepare_all(p, on):
 
 @entry
 def reset_all(s, p, past, on, rows):
-    """Start simulations anew: those whose indices are given."""
+    """Restart simulations: those whose indices are given."""
     for i in rows:
         reset_robot(s[i], p[min(i, len(p) - 1)], past[i], on)
 

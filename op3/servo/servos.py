@@ -105,7 +105,7 @@ class Servos:
         """Start from the joint state and commands in the signals, as if they had been held for long.
 
         Args:
-            simulations: indices of those that start anew; None: all.
+            simulations: indices of those that restart; None: all.
         """
         which = np.arange(self._shape[0]) if simulations is None else np.asarray(simulations, np.int64)
         for name in (self.records.dtype.names or ())[len(SIGNALS) :]:

@@ -122,7 +122,7 @@ class BatchSimulation:
         measured: bool = False,
         rows: np.ndarray | None = None,
     ) -> None:
-        """Start simulations anew.
+        """Restart simulations.
 
         Args:
             qpos: full MuJoCo position, ``[nq]`` or ``[sim, nq]``.
@@ -130,7 +130,7 @@ class BatchSimulation:
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
             measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
                 each simulation then starts where its own sensors read them.
-            rows: indices of the simulations that start anew, between ticks; the others are not disturbed. Then `qpos`,
+            rows: indices of the simulations that restart, between ticks; the others are not disturbed. Then `qpos`,
                 `qvel` and `commands` have one row for each of these. None: all.
 
         Raises:

@@ -63,7 +63,7 @@ class Crew(Generic[T]):
         except BrokenProcessPool as error:
             self._others = None
             raise ChildProcessError(
-                "a process that shared the work has ended, which happens where memory runs out; the same command goes"
+                "a worker process has ended, which happens when memory runs out; the same command goes"
                 " on, with processes=1 in this process alone"
             ) from error
 

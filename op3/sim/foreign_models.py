@@ -126,7 +126,7 @@ def from_bam(content: Mapping[str, Any]) -> RobotModel:
             raise ValueError(f"{next(n for n in names if n not in there)!r} is missing; write BAM's parameters again")
         for theirs, ours in there.items():
             if isinstance(given[theirs], bool) or not isinstance(given[theirs], int | float):
-                raise ValueError(f"{theirs!r} is {given[theirs]!r}, and no number")
+                raise ValueError(f"{theirs!r} is {given[theirs]!r}, not a number")
             values[ours] = float(given[theirs])
         effects += [effect_class(effect)(**options.get(effect, {}))] if there else []
     return RobotModel(tuple(effects), bus_voltage=make.supply.si).with_values(values)

@@ -48,7 +48,7 @@ class PendulumSimulation:
             for edit in effect.edits:
                 if edit not in (ROTOR, LINK):
                     raise ValueError(
-                        f"effect {effect.name!r} changes {edit.field} of {edit.target}, but a bench has no such thing;"
+                        f"effect {effect.name!r} changes {edit.field} of {edit.target}, which a bench does not have;"
                         " leave the effect out, or give a model of one servo, such as model=rhoban_m1"
                     )
         self.model = model
@@ -82,7 +82,7 @@ class PendulumSimulation:
         *,
         measured: bool = False,
     ) -> None:
-        """Start all pendulums anew; arguments as for `op3.sim.BatchSimulation.reset`."""
+        """Restart all pendulums; arguments as for `op3.sim.BatchSimulation.reset`."""
         signals = self.signals
         signals.position = position
         if measured:

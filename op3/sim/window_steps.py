@@ -198,7 +198,7 @@ def solve_dry(mass, total, velocity, force, bound, change, rooms, first, last):
         change[i] += velocity[i]
     for _ in range(SWEEPS):
         for i in range(first, last):
-            # what friction leaves of the impulse, never reversed; a bound that is no number shows
+            # what friction leaves of the impulse, never reversed; a bound that is not a number shows
             impulse = left[i]
             excess = abs(impulse) - bound[i]
             speed = 0.0 if excess <= 0.0 else copysign(excess, impulse) * inverse[i]

@@ -303,22 +303,6 @@ def calibration(stated: Sequence[Sequence[Any]]) -> dict[str, Any]:
     return {"ece": sum(apart) / len(stated) if stated else None, "reliability": table, "findings": len(stated)}
 
 
-def confusion(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
-    """Counts of claims: rows of the truth, columns of the most probable name.
-
-    Returns:
-        Names of the rows, names of the columns, [row, column] counts. Cases with two hidden effects count in both rows.
-    """
-    counts: dict[tuple[str, str], int] = {}
-    for row in rows:
-        for truth in row["truth"].split("+"):
-            counts[truth, row["claim"]] = counts.get((truth, row["claim"]), 0) + 1
-    truths = sorted({truth for truth, _ in counts}, key=lambda name: (name == NOTHING, name))
-    claims = sorted({claim for _, claim in counts}, key=lambda name: (name in (NOTHING, MISSING), name))
-    table = np.array([[counts.get((truth, claim), 0) for claim in claims] for truth in truths], dtype=int)
-    return truths, claims, table.reshape(len(truths), len(claims))
-
-
 def random_name(names: Sequence[str], joints: Sequence[str], rng: np.random.Generator) -> BenchVerdict:
     """Baseline: an effect drawn blindly, everywhere or in one joint with equal chance."""
     where = () if rng.random() < 0.5 else (str(rng.choice(joints)),)

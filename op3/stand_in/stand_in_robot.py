@@ -158,7 +158,7 @@ class StandIn:
         Args:
             joint_position: [joint] in rad. A free robot is put on the floor with its soles as level as the
                 pose allows.
-            qpos: the full position [qpos] instead, where the base shall be elsewhere.
+            qpos: the full position [qpos] instead, to place the base elsewhere.
             by_hand: whether the joints are set as a person does it, who misses each by a little, and by what the
                 encoders say.
             tilt: roll and pitch of the stand in rad.

@@ -51,7 +51,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
         path: of a YAML file with ranges that differ from those of the project, by name; None: none does.
 
     Raises:
-        ValueError: if one is no range of a quantity that a world has.
+        ValueError: if one is not a range of a quantity that a world has.
     """
     content = read_yaml(Path(__file__).with_name("ranges.yaml"))
     ranges = {**content["random"], **content["bench"]}

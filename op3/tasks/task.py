@@ -254,12 +254,13 @@ def _read(name: str, beside: Mapping[str, Path]) -> DictConfig:
     """A task's file with the files of its defaults below it, as Hydra composes them.
 
     Args:
-        beside: files by name that go before those in ``conf/task``.
+        beside: files by name that go before the project's.
     """
     known = {**named_configs("task"), **beside}
     if name not in known:
         raise ValueError(f"unknown task {name!r}{nearest(name, known)}")
-    own = OmegaConf.load(known[name])
+    written = known[name]
+    own = OmegaConf.load(written) if isinstance(written, Path) else OmegaConf.create(written)
     assert isinstance(own, DictConfig)
     layers = [entry for entry in own.pop("defaults", []) if entry != "_self_"]
     merged = OmegaConf.merge(*(_read(layer, beside) for layer in layers), own)

@@ -41,7 +41,7 @@ class Motor:
         ({"joints": "knee"}, "motor: joints must be a list, got 'knee'"),
         ({"gains": {"p": 0}}, "motor: gains.p must be above 0, got 0"),
         ({"on": 1}, "motor: on must be true or false, got 1"),
-        ({"voltag": 1}, "motor: voltag is no field; the nearest is 'voltage'"),
+        ({"voltag": 1}, "motor: voltag is not a field; the nearest is 'voltage'"),
         ({"offset": 13}, "motor: the offset lies above the voltage"),
     ],
 )
@@ -63,10 +63,10 @@ def test_what_configs_write_is_understood():
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"a: [1\nb: 2", "line 2 is no valid YAML"),
-        (b"steps: !!int three", "is no valid YAML"),
+        (b"a: [1\nb: 2", "line 2 is not valid YAML"),
+        (b"steps: !!int three", "is not valid YAML"),
         (b"- 1", "is a list and no mapping"),
-        (b"1: 2", "1 is no name"),
+        (b"1: 2", "1 is not a name"),
         (b"a: 1\nb: 2\na: 3", "field a: the key stands at line 1 and again at line 3"),
         (b"", "is empty and no mapping"),
         (b"\xff\xfe\xff", "is not UTF-8 text"),

@@ -50,7 +50,7 @@ def test_every_push_is_survived_or_not_whatever_is_beside_it(all_at_once, rows):
 
 
 def test_a_restart_leaves_the_pushes_of_the_others():
-    """A robot that begins anew gets the task's push, and the others keep what they were given."""
+    """A robot that starts over gets the task's push, and the others keep what they were given."""
     env = make_env("walk_push", num_envs=3, num_threads=1)
     env.reset()
     event = env.mdp.event("pushing")

@@ -258,7 +258,7 @@ def test_deploy_script_and_replay(tmp_path):
     refused = run_script("deploy.py", *common, "port=emulated", f"hydra.run.dir={tmp_path / 'refused'}")
     assert refused.returncode == ExitCode.START_CHECK
     assert f"FAIL policy card: {bundle} has no card" in refused.stdout
-    assert refused.stdout.rstrip().endswith("or run it all the same with card=ignore")
+    assert refused.stdout.rstrip().endswith("or run it anyway with card=ignore")
     common = (*common, "card=ignore")
     result = run_script(
         "deploy.py", *common, "port=emulated", "duration=0.5", "mount=stand", f"hydra.run.dir={tmp_path / 'run'}"
@@ -292,7 +292,7 @@ def test_a_log_is_not_written_over(tmp_path):
     (tmp_path / "run").mkdir()
     result = run_script("deploy.py", "port=/dev/ttyNOWHERE", f"hydra.run.dir={tmp_path}")
     assert result.returncode == 1
-    assert "run is there already, a log is never written over; choose another hydra.run.dir" in result.stderr
+    assert "run already exists, and a log is never overwritten; choose another hydra.run.dir" in result.stderr
     assert list((tmp_path / "run").iterdir()) == []
 
 

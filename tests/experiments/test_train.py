@@ -6,11 +6,10 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import configured, one_sentence
+from op3.apps.job import composed, configured, one_sentence
 from op3.apps.sentences import as_sentence
 from op3.policy import PolicyBundle
 from op3.report import read_result
@@ -111,7 +110,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         (["evaluation.episodes=0"], "evaluation.episodes must be a whole number"),
         (["+environment.foo=1"], "the batched environment has no option 'foo'; it has"),
         (["algorithm._target_=op3.train.Sarsa"], "algorithm._target_: op3.train has no 'Sarsa'"),
-        (["+algorithm.gama=0.9"], "gama is no field"),
+        (["+algorithm.gama=0.9"], "gama is not a field"),
         (["env=gym"], "unknown backend 'gym'"),
         (["env=composer", "environments=2"], "use environments=1"),
         (["task.duration=-1"], "duration must be above 0"),
@@ -141,8 +140,7 @@ def test_ctrl_c_says_how_a_training_goes_on(capsys):
 
 
 def test_a_fixed_gain_holds_for_a_policy_that_begins_with_another():
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train", ["fixed_gain=2", "warm_start=assets/policies/balance"])
+    cfg = composed("train", ["fixed_gain=2", "warm_start=assets/policies/balance"])
     made = import_module("op3.apps.train").actions(cfg, instantiate(cfg.task))
     start = PolicyBundle.load(ROOT / "assets/policies/balance").manifest.action_map
     assert made.gain_low == made.gain_high == 2.0
@@ -152,8 +150,7 @@ def test_a_fixed_gain_holds_for_a_policy_that_begins_with_another():
 @pytest.mark.parametrize("task", ["balance", "walk", "walk_terrain", "walk_command"])
 def test_the_papers_budget_is_for_every_task(task):
     """Two layers of 256 and a million steps for balancing, of 1024 and three million for walking on whatever ground."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train", [f"task={task}", "budget=paper"])
+    cfg = composed("train", [f"task={task}", "budget=paper"])
     units, steps = (256, 1_000_000) if task == "balance" else (1024, 3_000_000)
     assert list(cfg.algorithm.hidden) == [units, units]
     assert cfg.train.steps == steps
@@ -162,11 +159,10 @@ def test_the_papers_budget_is_for_every_task(task):
 
 def test_the_config_has_every_setting():
     """Settings of the learner, the loop and the curricula can all be overridden without a plus sign."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        assert set(compose("train").train) == {field.name for field in dataclasses.fields(TrainSettings)}
-        for name, kind in (("sac", SACSettings), ("td3", TD3Settings), ("ppo", PPOSettings)):
-            chosen = set(compose("train", [f"algorithm={name}"]).algorithm) - {"_target_"}
-            assert chosen == {field.name for field in dataclasses.fields(kind)}
+    assert set(composed("train", []).train) == {field.name for field in dataclasses.fields(TrainSettings)}
+    for name, kind in (("sac", SACSettings), ("td3", TD3Settings), ("ppo", PPOSettings)):
+        chosen = set(composed("train", [f"algorithm={name}"]).algorithm) - {"_target_"}
+        assert chosen == {field.name for field in dataclasses.fields(kind)}
 
 
 @pytest.mark.parametrize(
@@ -196,24 +192,6 @@ def test_a_baseline_is_judged_on_the_same_episodes(tmp_path):
     assert low < other["evaluation.margin"] < high
     assert other["evaluation.returns"] == same["evaluation.returns"]
     assert "random (baseline)" in (tmp_path / "other" / "index.html").read_text()
-
-
-def test_figures_of_a_policy_are_drawn(tmp_path):
-    """The gait and snapshots of a walk; a film where something draws."""
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'op3[docs]'")
-    overrides = ["policy=assets/policies/walk", "tasks=[walk]", "episodes=1", f"folder={tmp_path}", "film_seconds=0.5"]
-    done = run_script("policy_figures.py", *overrides, f"hydra.run.dir={tmp_path}/run")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "walk_gait.svg").stat().st_size > 10_000
-    assert (tmp_path / "walk.jpg").exists() or "no pictures" in done.stdout
-
-
-def test_learning_curves_come_from_the_results_of_trainings(tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'op3[docs]'")
-    (tmp_path / "result.yaml").write_text("learning.steps: [1000, 2000]\nlearning.return: [10.0, 20.0]\n")
-    monkeypatch.syspath_prepend(str(ROOT / "experiments"))
-    drawn = import_module("policy_figures").learning({"walk": [str(tmp_path)]}, tmp_path / "learning.svg")
-    assert tmp_path.name in drawn.read_text()
 
 
 def test_settings_are_searched(tmp_path):

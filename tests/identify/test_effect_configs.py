@@ -1,25 +1,16 @@
 """``effect=[name]`` switches any effect on and searches its parameters; a group of that name only searches them."""
 
-from pathlib import Path
-
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from op3.identify.registration import register
+from op3.apps import job
 from op3.identify.search_groups import TABLE_ONE, searched_parameters
 from op3.identify.search_space import parse_search_space
-from op3.identify.sweeper import sweep_or_report
 from op3.servo import parameter
-
-CONF = Path(__file__).resolve().parents[2] / "conf"
-register()
-assert sweep_or_report  # its module makes the sweeper known to Hydra
 
 
 def composed(*overrides: str):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("identify", ["data=none", *overrides], return_hydra_config=True)
+    return job.composed("identify", ["data=none", *overrides], hydra=True)
 
 
 @pytest.mark.parametrize("name", searched_parameters())

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from op3.common.assets import motion_names
-from op3.identify.registration import register
+from op3.apps.job import composed
+from op3.common.assets import named_configs
 from op3.motions import (
     Motion,
     check_motion,
@@ -35,12 +34,10 @@ KNEE = indices(["l_knee"])[0]
 def configured(name: str) -> Motion:
     """A motion as `collect.py motion=<name>` builds it."""
     robot = "arm" if name in GENERAL else "op3"
-    register()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return instantiate(compose("collect", [f"motion={name}", f"robot={robot}"]).motion)
+    return instantiate(composed("collect", [f"motion={name}", f"robot={robot}"]).motion)
 
 
-@pytest.mark.parametrize("name", motion_names())
+@pytest.mark.parametrize("name", named_configs("motion"))
 def test_every_motion_of_the_library_is_safe(name):
     """Soft limits, speed and 5 mm between parts are kept, the name is its file's, and it starts at rest."""
     motion = configured(name)

@@ -101,7 +101,7 @@ def test_broken_weights_are_refused(bundle, tmp_path, spoil, message):
         ("task: balance\n", "", "task is missing"),
         ("clip: 10.0", "clip: .nan", "clip must be a finite number"),
         ("policy_rate: 31.25", "policy_rate: 30.0", "does not divide"),
-        ("normalisation: fixed", "colour: red\nnormalisation: fixed", "colour is no field"),
+        ("normalisation: fixed", "colour: red\nnormalisation: fixed", "colour is not a field"),
         ("hidden: [256, 256]", "hidden: [256, 256", "no valid YAML"),
     ],
 )

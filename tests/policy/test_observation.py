@@ -82,7 +82,7 @@ def test_history_is_newest_first():
 
 
 def test_history_resets_rows_alone():
-    """Rows that begin anew forget; the others keep what they have seen."""
+    """Rows that start over forget; the others keep what they have seen."""
     history = observer(ACTION, 1)
     history.reset(sensed(torch.zeros(2)))
     history.push(sensed(torch.ones(2)))
@@ -97,7 +97,7 @@ def test_an_observer_without_a_beginning():
 
 
 def test_delay():
-    """Two policy steps late; a robot that begins anew sees its first value until then."""
+    """Two policy steps late; a robot that starts over sees its first value until then."""
     late = observer({"previous_action": {"delay": 2}})
     seen = [late.reset(sensed(torch.full((2,), 9.0)))]
     seen += [late.push(sensed(torch.full((2,), float(value)))) for value in (1, 2)]

@@ -43,7 +43,7 @@ def test_a_name_comes_with_its_rival_and_what_would_tell_them_apart(tmp_path):
         "backlash", ("l_knee",), False, "backlash", 0.021, "rad", (0.015, 0.027), 0.7, 5.0, GAIN, alternatives=(rival,)
     )
     text = told(tmp_path, finding)
-    assert "What would distinguish backlash from its alternatives" in text
+    assert "backlash can be distinguished from its alternatives by" in text
     assert "0.021 (0.015 to 0.027) rad" in text
     assert "dte in l_knee, 0.30" in text
     assert "20.00 mrad with the given model, 6.00 refitted, 4.00 with the findings (repeats differ by 2.00)" in text
@@ -54,7 +54,8 @@ def test_a_name_comes_with_its_rival_and_what_would_tell_them_apart(tmp_path):
 def test_what_was_abstained_from_is_said_first_with_what_would_settle_it(tmp_path, flagged):
     """A joint that nothing explains leaves the likeliest effect with its experiment; nothing missing names none."""
     text = told(tmp_path, flagged=flagged)
-    wanted = f"what would settle the likeliest, backlash in l_knee: {effect_class('backlash').separating_experiment}"
+    experiment = effect_class("backlash").separating_experiment
+    wanted = f"likeliest is backlash in l_knee; an experiment that would decide: {experiment}"
     assert (wanted in text) == flagged
 
 

@@ -84,7 +84,7 @@ def test_a_training_ends_with_its_best_policy(tmp_path):
     shown = {"settings": {"algorithm.n_step": 5}, "histograms": {}, "files": {"episode.mp4": "a film"}}
     report_training(history, RunFolder(tmp_path, {}), title="Training: balance", numbers=numbers, **shown)
     text = read(tmp_path)
-    assert "does not fall in 75 % of its final episodes; their mean return is 29.0." in text
+    assert "stays upright in 75 % of the final episodes, with a mean return of 29.0." in text
     assert "1.5 min" in text.replace("  ", " ")
     assert read_result(tmp_path / "result.yaml")["learning.return"] == [10.0, 20.0, 30.0]
 
@@ -105,7 +105,7 @@ def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
     text = read(tmp_path)
     assert "1 of 2 episodes succeed, 1 end without failing" in text
     assert "R_eval 200.0 (standard deviation 3.0)." in text
-    assert all((part in text) == walks for part in ("95 %: 0.3 to 1", "more R_eval than hold", "over the gait"))
+    assert all((part in text) == walks for part in ("95 %: 0.3 to 1", "R_eval above hold", "over the gait"))
 
 
 def test_a_plan_says_what_to_record_and_what_it_would_leave_open(tmp_path):

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from report_logs import bench_log, squat_log
 
 from op3.replay import Prediction
-from op3.report.figures import errors_figure, history_figure, ranges_figure
+from op3.report.figures import history_figure, ranges_figure
 from op3.report.panels import thin
-from op3.report.trace_figures import body_figure, runs_figure, traces_figure
+from op3.report.trace_figures import bench_figures, body_figure, runs_figure, traces_figure
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import DirectionalEfficiency, Motor
 
@@ -49,11 +49,10 @@ def every_figure() -> list[go.Figure | None]:
         runs_figure(bench, {"M1": [simulated(run, 1.1) for run in bench]}),
         history_figure({"with DTE": [2.0, 1.0]}, {"with DTE": [1.0, 0.9]}),
         ranges_figure(models(), ["backward_efficiency"]),
-        errors_figure(bench, {"M1": [20.0, 30.0]}, [False, True]),
     ]
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("number", range(5))
 def test_axes_have_titles_with_units(number):
     """Every axis title of every figure, and every tick that names a parameter, carries a unit."""
     figure = every_figure()[number]
@@ -159,11 +158,10 @@ def test_thinning_keeps_extremes_ends_and_order(seed, rows, most):
 
 
 def test_best_so_far_never_rises_and_skips_failures():
-    """Failed trials, None or NaN, leave the best where it was and have no dot."""
+    """Failed trials, None or NaN, leave the best where it was."""
     figure = history_figure({"with DTE": [3.0, None, 4.0, float("nan"), 1.0, 2.0]})
-    dots, best = figure.data
+    (best,) = figure.data
     assert list(best.y) == [3.0, 3.0, 3.0, 3.0, 1.0, 1.0]
-    assert list(dots.x) == [1, 3, 5, 6]
     assert figure.layout.yaxis.type == "log"
 
 
@@ -184,12 +182,9 @@ def test_ranges_refuse_a_parameter_of_no_model():
         ranges_figure(models(), ["payload"])
 
 
-def test_bench_errors_are_grouped_and_held_out_runs_hatched():
-    """Runs of one trajectory share a panel, ordered by mass and gain; held-out bars have a pattern."""
+def test_bench_errors_are_boxes_by_motion_and_held_out_runs_apart():
+    """Runs of one trajectory share a place, those held out have their own label, and a failed one has no error."""
     logs = [bench_log("sin_sin", 0.4, 8.0), bench_log("sin_sin", 0.2, 16.0), bench_log("lift_and_drop", 0.2, 8.0)]
-    figure = errors_figure(logs, {"M1": [30.0, 20.0, 10.0]}, [True, False, False])
-    first, second = named(figure, "M1")
-    assert list(first.y) == [20.0, 30.0]
-    assert [list(level) for level in first.x] == [["0.2 kg<br>0.1 m", "0.4 kg<br>0.1 m"], ["16", "8"]]
-    assert list(first.marker.pattern.shape) == ["", "/"]
-    assert list(second.y) == [10.0]
+    figure = bench_figures(logs, {"M1": [{}, {}, {}]}, {"M1": [30.0, 20.0, None]}, [True, False, False])["errors"]
+    boxes = {box.name: dict(zip(box.x, box.y, strict=True)) for box in figure.data}
+    assert boxes == {"M1, held out": {"sin sin": 30.0}, "M1": {"sin sin": 20.0}}

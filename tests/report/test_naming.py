@@ -3,7 +3,7 @@
 import numpy as np
 from report_logs import PageReader
 
-from op3.report.naming_page import LABELS, confusion_figure, naming_page, rates_figure, reliability_figure
+from op3.report.naming_page import LABELS, naming_page, rates_figure, reliability_figure
 
 
 def rate(count: int, of: int) -> dict[str, float]:
@@ -26,8 +26,7 @@ ROW = {
 
 def test_the_page_says_the_counts_first():
     """The verdict sentence has both counts; every case is in the table; the page is well-formed."""
-    table = (["backlash"], ["dte"], np.array([[1]]))
-    page = naming_page([ROW], {"diagnosis": summary(3), "random name": summary(0)}, table, "Bench", "0f" * 32)
+    page = naming_page([ROW], {"diagnosis": summary(3), "random name": summary(0)}, "Bench", "0f" * 32)
     html = page.html()
     assert PageReader(html).open == []
     assert "3 of 4 clear single effects were named in their joints, and 1 of 2 sound robots got a name." in html
@@ -43,13 +42,6 @@ def test_rates_are_drawn_with_their_intervals():
     assert points.x[0] == 75
     assert np.allclose(points.error_x.array[0], 15)
     assert np.allclose(points.error_x.arrayminus[0], 65)
-
-
-def test_the_confusion_matrix_is_coloured_by_share_of_its_row():
-    """Counts 3 and 1 of one effect are shares of 0.75 and 0.25; zeros carry no text."""
-    figure = confusion_figure(["a", "b"], ["a", "unknown"], np.array([[3, 1], [0, 2]]))
-    assert np.allclose(figure.data[0].z, [[0.75, 0.25], [0, 1]])
-    assert figure.data[0].text[1][0] == ""
 
 
 def test_nothing_stated_draws_no_reliability():

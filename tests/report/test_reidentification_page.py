@@ -64,7 +64,7 @@ def test_the_page_tells_the_rule_and_the_fresh_episodes(tmp_path):
         "lowers the distance between simulated and actual returns from 50 to 10, and from 40 to 20 over fresh episodes"
         in text
     )
-    assert "Rule: among the candidates whose excitation loss is at most 1.25 times" in text
+    assert "Candidates qualify if their excitation loss is at most 1.25 times" in text
     assert "chance alone would leave 5" in text
     for label in ("excitation only", "re-identified", "actual", "Pareto front", "normalised by Table I"):
         assert label in text
@@ -74,7 +74,7 @@ def test_a_gain_that_fresh_episodes_do_not_confirm_is_not_called_one(tmp_path):
     """From 50 to 10 over the episodes searched with, but from 40 to 45 over others: the first sentence says so."""
     report(tmp_path, fresh=45.0)
     text = (tmp_path / "index.html").read_text()
-    assert "No gain that lasts" in text
+    assert "No lasting gain" in text
     assert "from 40 to 45 over fresh ones" in text
     assert "Re-identification lowers" not in text
 
@@ -84,7 +84,7 @@ def test_what_was_accepted_is_not_told_as_refused(tmp_path):
     report(tmp_path, distance=60.0)
     text = (tmp_path / "index.html").read_text()
     assert "No candidate came closer" not in text
-    assert "the distance goes from 50 to 60 over these, and from 40 to 20 over fresh ones" in text
+    assert "the distance changed from 50 to 60 over these, and from 40 to 20 over fresh ones" in text
 
 
 def test_seeds_are_summed_up_by_mean_and_deviation(tmp_path):

@@ -63,12 +63,12 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     share = "the robot reaches {} % of the return that simulation promised"
     at_first = f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}, and falls in 1 of 1 episodes."
     assert at_first in text
-    assert "judged by 1 episodes, where the paper judges ten" in text
+    assert "1 episodes decide instead of the paper" in text
     assert "Learned in round" not in text
     numbers = read_result(tmp_path / "result.yaml")
     assert (numbers["transfer_0.share"], numbers["transfer_1.success"], numbers["rounds"]) == (0.4, True, 1)
     first = told(tmp_path, [good], Learned(spared=True), what="Balancing. The robot is real.")
-    assert "Condition: reidentified (enabled, not needed). Balancing. The robot is real." in first
+    assert "Condition: reidentified (allowed, but not needed). Balancing. The robot is real." in first
     assert "The first transfer fails" in told(tmp_path, [failed], condition="excitation_only")
     walks = transfer([250.0], [240.0] * 10, [True] * 10, [True] * 7 + [False] * 3)
     said = "The first transfer fails: 7 of 10 episodes walk to their end (95 %: 40 to 89 %)"
@@ -100,6 +100,6 @@ def test_the_page_shows_films_and_what_was_learned(tmp_path):
     assert "missing" not in text.replace("spring is missing", "")
     for said in (
         "Learned in round 1", "A spring is missing.", "One episode does not count.", "the policy of round 0",
-        "No candidate took", "op3 view somewhere", "while it was trained", "torque constant", "a distance of 1", "17",
+        "No candidate was better", "op3 view somewhere", "during training", "torque constant", "a distance of 1", "17",
     ):  # fmt: skip
         assert said in text

@@ -95,7 +95,7 @@ def test_a_film_has_all_pictures(tmp_path):
 
 
 def test_keys_play_scrub_and_change_the_speed():
-    """Space pauses, right goes on half a second, up doubles the speed, a comma steps back; after 2 s it begins anew."""
+    """Space pauses, right goes on half a second, up doubles the speed, a comma steps back; after 2 s it starts over."""
     player = Playback(2.0)
     player.key(32)
     player.advance(1.0)

@@ -83,7 +83,7 @@ def test_a_urdf_is_read(tmp_path):
     np.testing.assert_allclose(robot.limits, [[-1, 2]])
     assert compiled(robot).nq == 1
     path.write_text(f"{text}world\n")
-    with pytest.raises(ValueError, match="base names the body 'world', which there is not; there are a, b"):
+    with pytest.raises(ValueError, match="base names the body 'world', which does not exist; there are a, b"):
         load_robot(path)
 
 
@@ -154,41 +154,44 @@ def test_robots_travel_between_processes(tmp_path):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"  j1:": "  j11:"}, r"line 9: joints.j11 names the joint 'j11', which there is not; the nearest is 'j1'"),
+        ({"  j1:": "  j11:"}, r"line 9: joints.j11 names the joint 'j11', which does not exist; the nearest is 'j1'"),
         ({"servo:": "law: papr\nservo:"}, r"line 6: law names the law 'papr'.* the nearest is 'paper'"),
         ({"sts3215": "sts321"}, r"line 6: servo names the servo 'sts321'.* the nearest is 'sts3215'"),
         ({"sts3215": "mine.yaml"}, r"line 6: servo names .*mine.yaml, where there is no file"),
         (
             {"{bus_id: 1}": "{bus_id: 1, servo: xm430-w350}"},
-            r"joints.j1 has a servo with the loop 'firmware' \(sts3215\), where j0 has 'current' \(xm430-w350\): say",
+            r"joints.j1 has a servo with the loop 'firmware' \(sts3215\), where j0 has 'current' \(xm430-w350\): set",
         ),
         ({"unit: count": "unit: conut"}, r"line 10: joints.j2.log.unit names the unit 'conut'.* nearest is 'count'"),
-        ({"base: base": "base: bas"}, r"line 4: base names the body 'bas', which there is not; the nearest is 'base'"),
+        (
+            {"base: base": "base: bas"},
+            r"line 4: base names the body 'bas', which does not exist; the nearest is 'base'",
+        ),
         ({"{bus_id: 2,": "{bus_id: 1,"}, r"line 9: joints.j1.bus_id is 1, as that of j0; give each its own"),
         ({"zero: 2048": "zero: .nan"}, r"line 10: joints.j2.log.zero must be a finite number, got nan"),
         ({"sign: -1": "sign: 2"}, r"line 10: joints.j2.log.sign must be one of 1 or -1, got 2"),
         ({"home: 0.4": "home: 4"}, r"line 9: joints.j1.home is 4 rad, outside its limits -1.5 to 1.5"),
-        ({"home: 0.4": "hmoe: 4"}, r"line 9: joints.j1.hmoe is no field; the nearest is 'home'"),
+        ({"home: 0.4": "hmoe: 4"}, r"line 9: joints.j1.hmoe is not a field; the nearest is 'home'"),
         ({"four.xml": "for.xml"}, r"line 3: model names .*for.xml, where there is no file"),
         (
             {"fixed: true": "fixed: true\nimu: eye"},
-            r"line 6: imu names the site 'eye', which there is not; there are none",
+            r"line 6: imu names the site 'eye', which does not exist; there are none",
         ),
         (
             {"joints:": "joints:\n  j3: {bus_id: 9}", "\n  j3: {bus_id: 4}": ""},
             "write j0, j1, j2, j3",
         ),
-        ({"joints:": "joints: ["}, r"is no valid YAML"),
+        ({"joints:": "joints: ["}, r"is not valid YAML"),
         ({"{bus_id: 1}": "{bus_id: 200}", "servo:": "board: opencr\nservo:"}, r"bus_id is 200, as that of the opencr"),
         ({"{bus_id: 1}": "{home: 0}"}, r"line 8: joints.j0 has no bus_id, where other joints have one"),
         (
             {"servo:": "poses: {up: {j5: 1}}\nservo:"},
-            r"line 6: poses.up.j5 names the joint 'j5', which there is not; there are j0",
+            r"line 6: poses.up.j5 names the joint 'j5', which does not exist; there are j0",
         ),
-        ({"servo:": "soles: [foot]\nservo:"}, r"line 6: soles.0 names the geom 'foot', which there is not"),
+        ({"servo:": "soles: [foot]\nservo:"}, r"line 6: soles.0 names the geom 'foot', which does not exist"),
         ({"{bus_id: 1}": "{bus_id: true}"}, r"line 8: joints.j0.bus_id must be a whole number, got True"),
         ({"{bus_id: 1}": "servo"}, r"line 8: joints.j0 must be a mapping of its fields, got 'servo'"),
-        ({"joints:": "joint:"}, r"line 7: joint is no field; the nearest is 'joints'"),
+        ({"joints:": "joint:"}, r"line 7: joint is not a field; the nearest is 'joints'"),
         ({"name: four": "name: my robot"}, r"line 2: name must be a text like .*, got 'my robot'"),
         ({"home: 0.4": "home: '0.4'"}, r"line 9: joints.j1.home must be a number, got '0.4'"),
         ({"home: 0.4": "limits: [1, -1]"}, r"line 9: joints.j1.limits go from 1 to -1: the lower first"),

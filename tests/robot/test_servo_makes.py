@@ -69,7 +69,7 @@ def test_a_new_make_is_one_file(tmp_path):
             r"line 5: loop must be one of 'current' or 'firmware', got 'curent'",
         ),
         ({"loop: current": "loop: firmware"}, r"line 5: loop is 'firmware', so that the file needs a position_law"),
-        ({"gear_ratio": "gear_ration"}, r"line 8: motor.gear_ration is no field; the nearest is 'gear_ratio'"),
+        ({"gear_ratio": "gear_ration"}, r"line 8: motor.gear_ration is not a field; the nearest is 'gear_ratio'"),
         ({"value: 4, unit: ohm": "unit: ohm"}, r"line 10: motor.terminal_resistance.value is missing"),
         ({"value: 4, unit: ohm": "value: -4, unit: ohm"}, r"line 10: motor.terminal_resistance.value must be above 0"),
         (
@@ -81,7 +81,7 @@ def test_a_new_make_is_one_file(tmp_path):
         ({"value: 12, unit: V": "value: 50, unit: V"}, r"line 6: supply is 50 V, outside its limits 10 to 14 V"),
         (
             {"maker: us": "maker: us\nmodle_number: 3"},
-            r"line 4: modle_number is no field; the nearest is 'model_number'",
+            r"line 4: modle_number is not a field; the nearest is 'model_number'",
         ),
         ({"name": "theirs"}, r"line 2: name is 'theirs', but the file is called 'ours.yaml'"),
     ],

@@ -206,7 +206,7 @@ def test_errors_of_a_batch_name_the_episode():
 
 
 def test_no_rows_are_refused():
-    """A log without rows is no log."""
+    """A log without rows is not a log."""
     empty = {key: value[:0] for key, value in arrays().items()}
     assert "at least one row" in load_error(Rollout.from_arrays, empty, metadata())
 

@@ -84,7 +84,10 @@ BENCH_OFFENCES = {
     "millivolts": (lambda c: [e.update(input_volts=7300) for e in c["entries"]], "column input_volts"),
     "load": (entry(1, load=70000), "row 1, column load: 70000 is not a 16-bit register value"),
     "degrees": (entry(1, position=57.0), "row 1, column servo.position: 57 is beyond 7 rad and looks like degrees"),
-    "a sample that is no mapping": (lambda c: c["entries"].append(3), "row 4, column timestamp: the value is missing"),
+    "a sample that is not a mapping": (
+        lambda c: c["entries"].append(3),
+        "row 4, column timestamp: the value is missing",
+    ),
 }
 
 

@@ -494,7 +494,7 @@ SIDES = {
         "battery: 11.1\nbattery: 12\n",
         r"field battery: the key stands at line \d+ and again at line \d+",
     ),
-    "another robot": ("robot_file: op3\n", r"field joints: joint_0 is no joint of op3"),
+    "another robot": ("robot_file: op3\n", r"field joints: joint_0 is not a joint of op3"),
     "another gain": ("firmware_gain: 3\n", r"firmware_gain is 3 in the metadata and 32 in the column"),
 }
 
@@ -1184,7 +1184,7 @@ def test_a_misspelt_option_is_refused_by_its_name(tmp_path):
     with pytest.raises(LogError, match="'unwrapp': no such field; rename it unwrap if that is meant"):
         read_log(write(tmp_path, side="unwrapp: true\n"))
     (tmp_path / "other").mkdir()
-    with pytest.raises(LogError, match="'spllit' is no option of an import; rename it split"):
+    with pytest.raises(LogError, match="'spllit' is not an option of an import; rename it split"):
         read_episodes(write(tmp_path / "other"), {"spllit": True})
 
 
@@ -1289,7 +1289,7 @@ def test_a_joint_that_the_named_robot_lacks_refuses_the_log():
     log = bench_log()
     log = Rollout(log.data, log.metadata.replace(mount="stand", robot_file="op3"))
     found = [(one.severity, one.problem) for one in examine(log)]
-    assert ("error", "joint_0 is no joint of op3") in found
+    assert ("error", "joint_0 is not a joint of op3") in found
 
 
 @pytest.mark.parametrize(("sign", "told"), [(-1.0, False), (1.0, True)])

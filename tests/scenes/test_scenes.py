@@ -172,7 +172,7 @@ def test_bench_description():
 
 
 def test_a_stand_may_hold_some_limbs_only():
-    """Limbs without a wanted joint are left away, whole limbs stay; on a floor that is refused."""
+    """Limbs without a wanted joint are left out, whole limbs stay; on a floor that is refused."""
     scene = build_scene("stand", "op3", joints=("r_knee", "head_tilt"))
     assert [str(joint.name) for joint in scene.joints] == [*LIMBS[0], *LIMBS[-1]]
     assert scene.compile().nq == 8

@@ -1,4 +1,4 @@
-"""Resetting some simulations of a batch: they start anew, the others do not notice."""
+"""Resetting some simulations of a batch: they restart, the others do not notice."""
 
 import numpy as np
 import pytest

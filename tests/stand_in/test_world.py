@@ -97,7 +97,7 @@ def test_spread():
     ("content", "message"),
     [
         ({"torque_konstant": 0.005}, "torque_konstant.*the nearest is 'torque_constant'"),
-        ({"wings": 2}, "wings is no field; there are torque_constant"),
+        ({"wings": 2}, "wings is not a field; there are torque_constant"),
         ({"armature": 0.0}, "armature must be above 0, got 0.0"),
         ({"coulomb_friction": -0.1}, "coulomb_friction must be at least 0"),
         ({"backward_efficiency": 1.2}, "backward_efficiency must be at most 1"),
@@ -143,7 +143,7 @@ def test_a_file_may_start_from_a_random_world(tmp_path):
 
 
 def test_a_wrong_draw_is_refused_with_the_file(tmp_path):
-    """What is no seed is refused in one sentence that names the file."""
+    """What is not a seed is refused in one sentence that names the file."""
     path = tmp_path / "robot.yaml"
     path.write_text("draw: many\n")
     with pytest.raises(ValueError, match=r"robot\.yaml: the seed of a random world"):

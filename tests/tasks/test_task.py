@@ -6,10 +6,11 @@ import hydra
 import numpy as np
 import pytest
 
+from op3.apps.job import composed
 from op3.envs import make_env
 from op3.policy import PolicyBundle
 from op3.replay import Setup
-from op3.robot import asset_path, named_configs, pose
+from op3.robot import asset_path, pose
 from op3.servo import Estimate
 from op3.sim import load_model
 from op3.tasks import ParameterRanges, find_task, task_names
@@ -18,8 +19,7 @@ from op3.tasks import ParameterRanges, find_task, task_names
 @pytest.mark.parametrize("name", task_names())
 def test_a_task_is_the_same_through_hydra(name):
     """Composed by Hydra and instantiated, a file of conf/task gives the task that its name gives in Python."""
-    with hydra.initialize_config_dir(str(named_configs("task")[name].parent.parent), version_base="1.3"):
-        config = hydra.compose("evaluate", [f"task={name}"])
+    config = composed("evaluate", [f"task={name}"])
     assert hydra.utils.instantiate(config.task) == find_task(name)
 
 

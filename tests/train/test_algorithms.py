@@ -469,7 +469,7 @@ def test_settings_are_checked():
         ({"hidden": 256}, "hidden must be a list, got 256"),
         ({"noise": "loud"}, "noise must be a number, got 'loud'"),
         ({"mirrored": 2.0}, "mirrored must be at most 1"),
-        ({"epochs": 3}, "epochs is no field"),
+        ({"epochs": 3}, "epochs is not a field"),
         ({"buffer": 31}, "holds under two steps of 16 environments"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -282,7 +282,7 @@ def test_curricula_reach_the_environment(tmp_path):
     schedule = Practice({"height": [[0, 1.0], [256, 2.0]]})
     settings = dataclasses.replace(SETTINGS, steps=256)
     train(SAC(env, **LEARN), env, lambda policy: {}, settings, MANIFEST, tmp_path, practice=schedule)
-    # before the first reset, before each of the four rollouts of 64 steps, and when episodes begin anew at the end
+    # before the first reset, before each of the four rollouts of 64 steps, and when episodes start over at the end
     assert env.given == [1.0, 1.0, 1.25, 1.5, 1.75, 2.0]
 
 

@@ -340,4 +340,4 @@ class EmulatedRobot:
         elif isinstance(fault, BrownOut):
             self.physics.supply = None
             if fault.voltage < RESET_VOLTAGE:
-                self._power_servos(self._powered)  # they start anew if the OpenCR still gives them power
+                self._power_servos(self._powered)  # they restart if the OpenCR still gives them power

@@ -44,7 +44,7 @@ class BrownOut:
     """The supply breaks down to a voltage [V].
 
     Below the servos' lower voltage limit they report an input voltage error; below `RESET_VOLTAGE` they lose their
-    memory and start anew once it is back.
+    memory and restart once it is back.
     """
 
     start: Number

@@ -63,7 +63,7 @@ class Frame:
 
 
 class FrameRecorder:
-    """Writes frames to a text file anew, ``<time in s> <direction> <bytes in hexadecimal>``."""
+    """Writes frames to a new text file, ``<time in s> <direction> <bytes in hexadecimal>``."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)

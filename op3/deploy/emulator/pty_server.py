@@ -69,7 +69,7 @@ class PtyServer:
         return self._thread.is_alive()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Serve until it ends by itself or `stop` is called, or for a time [s].
+        """Wait until it ends by itself, or for a time [s].
 
         Raises:
             RuntimeError: if the physics diverged.
@@ -78,13 +78,9 @@ class PtyServer:
         if self.error is not None:
             raise self.error
 
-    def stop(self) -> None:
-        """Let the serving end within some milliseconds. Never waits, so a signal handler may call it."""
-        self._stopping = True
-
     def close(self) -> None:
         """Stop serving and remove the port."""
-        self.stop()
+        self._stopping = True
         if self._thread.is_alive():
             self._thread.join()
 

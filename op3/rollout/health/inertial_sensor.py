@@ -153,7 +153,7 @@ def gyroscope(view: View) -> Iterator[LogFinding]:
             problem = (
                 f"turning about {'xyz'[axis]} shows as {sign}{'xyz'[other]} of the gyroscope: its axes are swapped"
             )
-            remedy = "name the axes anew, or turn the sensor's frame into the body's"
+            remedy = "rename the axes, or turn the sensor's frame into the body's"
             yield view.found(ERROR, (RATE, axis), problem, remedy)
         elif moving[axis] and abs(own) < 0.5:
             problem = f"the gyroscope does not follow the change of orientation (correlation {own:.2f})"
@@ -224,12 +224,12 @@ def gravity(view: View) -> Iterator[LogFinding]:
             f"the orientation says that the trunk hangs upside down, and the accelerometer reads {mean[2]:.3g} m/s2 "
         )
         problem += "upwards: as if the parts of a quaternion were taken in another order (w, x, y, z or x, y, z, w)"
-        yield view.found(ERROR, (ORIENTATION, 0), problem, "read the orientation anew")
+        yield view.found(ERROR, (ORIENTATION, 0), problem, "read the orientation again")
     elif tells and _apart(mean, expected) > (0.4 if falls else _TILTED):
         # of what may have been done to its axes, the least that brings gravity where the orientation says
         done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
         problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
-        remedy = "write `sign: -1` for these under `columns:` in the YAML, or name the axes anew"
+        remedy = "write `sign: -1` for these under `columns:` in the YAML, or rename the axes"
         if _apart(rest @ mean, expected) < min(0.3, 0.4 * _apart(mean, expected)):
             problem += f": {done}"
         else:

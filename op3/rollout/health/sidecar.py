@@ -68,7 +68,7 @@ def robot(view: View) -> Iterator[LogFinding]:
     odd = next((joint for joint in view.joints if joint not in known.joints), None)
     if odd is not None:
         remedy = rename(odd, known.joints, f"correct robot_file; {known.name} has {', '.join(known.joints)}")
-        yield view.found(ERROR, "field joints", f"{odd} is no joint of {known.name}", remedy)
+        yield view.found(ERROR, "field joints", f"{odd} is not a joint of {known.name}", remedy)
 
 
 @check("unknown servo")

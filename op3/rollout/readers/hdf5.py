@@ -127,5 +127,5 @@ def _content(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             file.visititems(take)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
         said = " ".join(str(error).split())[:120]
-        raise LogError(f"the file is no readable HDF5 ({said})", "copy the file again", source=path) from None
+        raise LogError(f"the file is not readable HDF5 ({said})", "copy the file again", source=path) from None
     return arrays, about

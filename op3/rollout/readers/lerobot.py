@@ -131,7 +131,7 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
         problem = f"the parquet files cannot be read ({said})"
         raise LogError(problem, "copy the dataset again", source=path / "data") from None
     if missing := next((name for name in columns if name not in table), None):
-        remedy = "record the dataset anew, or convert it to version 2.1 or 3"
+        remedy = "record the dataset again, or convert it to version 2.1 or 3"
         raise LogError("the column is missing in the parquet files", remedy, source=path / "data", column=missing)
     return table
 

@@ -71,7 +71,7 @@ def _load(path: Path) -> Content:
             return {name: archive[name] for name in archive.files}
     except _DAMAGED:
         remedy = "copy the file again, or save it with numpy.savez and without objects"
-        raise LogError("the file is no readable npz archive", remedy, source=path) from None
+        raise LogError("the file is not a readable npz archive", remedy, source=path) from None
 
 
 def _partial(path: Path) -> bool:

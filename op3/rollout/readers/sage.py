@@ -65,7 +65,7 @@ def _stream(path: Path, joints: list[str], kinds: dict[str, str]) -> Stream:
 
 
 def _listed(cell: str | None) -> Any:
-    """The numbers in a cell; the text itself where it is no list."""
+    """The numbers in a cell; the text itself where it is not a list."""
     try:
         return json.loads(cell or "")
     except (ValueError, RecursionError):

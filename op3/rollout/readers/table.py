@@ -85,7 +85,7 @@ def _number(cell: str) -> float:
 
 
 def _fault(said: str, header: list[str]) -> LogError:
-    """What numpy says of a cell that is no number, or of a row with more or fewer cells than those before."""
+    """What numpy says of a cell that is not a number, or of a row with more or fewer cells than those before."""
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
         column, row, text = header[min(int(cell[3]), len(header)) - 1], int(cell[2]) + 1, cell[1].strip()
         problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave out the row"

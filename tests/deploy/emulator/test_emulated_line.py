@@ -95,7 +95,7 @@ def test_a_silent_servo_hears_nothing_and_breaks_the_chain():
 
 
 def test_a_brown_out_is_reported_and_a_deep_one_resets():
-    """9 V: input voltage error, torque stays. 5 V: servos start anew without torque."""
+    """9 V: input voltage error, torque stays. 5 V: servos restart without torque."""
     bench = Bench(faults=Faults(scheduled=(BrownOut(0.5, 0.6, 9.0), BrownOut(1.0, 1.1, 5.0))))
     bench.energise(4, 0)
     bench.clock.sleep_until(0.58)
