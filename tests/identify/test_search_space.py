@@ -59,11 +59,11 @@ def test_any_text_is_a_range_or_one_sentence(text):
         ("interval(0, inf)", "finite"),
         ("tag(cubic, interval(0, 1))", "cubic"),
         ("int(interval(1, 8))", "finite numbers"),
-        ("choice(1, 2)", "no interval"),
+        ("choice(1, 2)", "not an interval"),
         ("interval(1", "not a range"),
         ("between(0, 1)", "not a range"),
-        ("0.5", "no interval"),
-        (None, "no interval"),
+        ("0.5", "not an interval"),
+        (None, "not an interval"),
     ],
 )
 def test_a_wrong_range_says_which_key_and_what_to_write(text, reason):
