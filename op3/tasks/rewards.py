@@ -263,14 +263,23 @@ class Footholds:
     "Walk these ways") reward steps in this way. Places count from the middle of all feet, for a body sways.
 
     Args:
-        name: of the command.
+        velocity: desired, forwards and to the left [m/s], and rate of turning [rad/s].
+        name: of a command that is desired instead.
         scale: mean distance at which 63 % of the penalty is reached [m].
     """
 
-    def __init__(self, robot: Robot, gait_cycle: float | None, name: str = "velocity", scale: float = 0.03):
+    def __init__(
+        self,
+        robot: Robot,
+        gait_cycle: float | None,
+        velocity: Sequence[float] = (0.3, 0.0, 0.0),
+        name: str | None = None,
+        scale: float = 0.03,
+    ):
         if gait_cycle is None:
             raise ValueError("footholds need the task's gait")
-        self.name, self.scale, self._chains = name, scale, leg_kinematics(robot)
+        self.velocity, self.name, self.scale = torch.tensor([velocity], dtype=torch.float64), name, scale
+        self._chains = leg_kinematics(robot)
         self._feet, self._half = len(robot.legs), gait_cycle * STANCE_SHARE / 2
         self._home = self._soles(torch.from_numpy(robot.home)[None])
 

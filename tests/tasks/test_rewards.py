@@ -58,7 +58,7 @@ def test_footholds_by_hand(axis):
     Stance takes 0.42 s, half of which is 42 mm; when one foot lands, the other has stood for 5/7 of its own.
     """
     robot = load_robot("op3")
-    term = rewards.Footholds(robot, gait_cycle=0.6)
+    term = rewards.Footholds(robot, gait_cycle=0.6, name="velocity")
     home = leg_angles([0.0, 0.0, -0.19])
     velocity, places = np.zeros(3), {"l": np.array([0.0, 0.0, -0.19]), "r": np.array([0.0, 0.0, -0.19])}
     velocity[axis] = 0.2
