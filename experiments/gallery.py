@@ -29,6 +29,7 @@ from op3.scenes import build_scene
 from op3.servo import RobotModel, Servos, law
 from op3.sim import load_model, model_for
 from op3.stand_in import HiddenWorld, StandIn, draw_case, make_case
+from op3.tasks.behaviour import gait_profile
 from op3.tasks.task import find_task
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
@@ -62,9 +63,9 @@ def above(axis: Axes) -> None:
     axis.legend(ncol=4, loc="lower center", bbox_to_anchor=(0.5, 0.98))
 
 
-def strip(frames: np.ndarray, top: int = 40) -> Image.Image:
+def strip(frames: np.ndarray, top: int = 40, height: int = 400) -> Image.Image:
     """Frames ``[frame, height, width, 3]`` side by side, without their empty margins, from a row on."""
-    return Image.fromarray(np.concatenate([frame[top : top + 400, 90:390] for frame in frames], axis=1))
+    return Image.fromarray(np.concatenate([frame[top : top + height, 90:390] for frame in frames], axis=1))
 
 
 def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
@@ -93,6 +94,36 @@ def balance() -> Image.Image:
     scene = build_scene("board", "op3")
     states = states_of_log(record_episodes(env, bundle)[0], scene, 125.0)
     return strip(draw_frames(scene.compile(), states[[63, 325, 575, 825]]))
+
+
+@picture
+def walk() -> Image.Image:
+    """The shipped policy on bricks of 5 mm, at five times within a cycle of its gait."""
+    bundle, task = PolicyBundle.load("assets/policies/walk"), find_task("walk_bricks_c")
+    env = BatchedEnv(task, load_model("paper"), 1, 901, action_map=bundle.manifest.action_map)
+    scene = build_scene(task.scene, "op3")
+    states = states_of_log(record_episodes(env, bundle)[0], scene, 125.0)
+    return strip(draw_frames(scene.compile(), states[250:375:25], follow=True), height=440)
+
+
+@picture
+def ankle() -> Image.Image:
+    """What the shipped walk commands to an ankle over the gait: means and standard deviations of 20 episodes."""
+    bundle, task = PolicyBundle.load("assets/policies/walk"), find_task("walk")
+    env = BatchedEnv(task, load_model("paper"), 20, 901, action_map=bundle.manifest.action_map)
+    profile = gait_profile(record_episodes(env, bundle), task, "r_ank_pitch")
+    figure, axes = panels(1, 2)
+    half = 0.5 / len(profile.phase)
+    for axis, mean, deviation, label in (
+        (axes[0], profile.target, profile.target_deviation, "target angle [rad]"),
+        (axes[1], profile.gain, profile.gain_deviation, "P gain [A/rad]"),
+    ):
+        for phase in profile.phase[profile.stance]:
+            axis.axvspan(phase - half, phase + half, color="0.92", lw=0)
+        axis.plot(profile.phase, mean)
+        axis.fill_between(profile.phase, mean - deviation, mean + deviation, alpha=0.2, lw=0)
+        axis.set(xlabel="phase of the gait [cycles], support shaded", ylabel=label)
+    return drawn(figure)
 
 
 @picture
