@@ -10,6 +10,7 @@ python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count as counted
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
 from op3.report import RunFolder, RunLogger
-from op3.report.training_page import histogram_figure, report_training
+from op3.report.training_page import report_training
 from op3.report.video import film
 from op3.robot import load_robot
 from op3.sim import model_for
@@ -274,10 +275,12 @@ def main(cfg: DictConfig) -> Trained:
             raise SystemExit(143)
         policy = PolicyBundle.load(folder / "policy")
         # on other episodes than those that chose the policy
-        final, actions, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
-        histograms = commands(policy, actions)
-        for name, figure in histograms.items():
-            logger.figure(name, figure)
+        final, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
+        files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
+        rate, video = 1.0 / (FRAME_EVERY * judge.policy_period), folder / "episode.mp4"
+        if cfg.evaluation.video and film(judge.scene, states, video, rate, follow=judge_task.cycle is not None):
+            files["episode.mp4"] = "a film of one episode of the kept policy"
+            logger.film("episode", video)
         numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in final.items()}
         numbers |= {
             "evaluation.task": judge_task.name,
@@ -291,46 +294,23 @@ def main(cfg: DictConfig) -> Trained:
         logger.summary({name: value for name, value in numbers.items() if isinstance(value, int | float)})
         begun = [] if cfg.warm_start is None else [("policy", cfg.warm_start)]
         logger.lineage([*begun, *model_artifact(cfg)], [("policy", folder / "policy")])
-    files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
-    rate = 1.0 / (FRAME_EVERY * judge.policy_period)
-    walks = judge_task.cycle is not None
-    if cfg.evaluation.video and film(judge.scene, states, folder / "episode.mp4", rate, follow=walks):
-        files["episode.mp4"] = "a film of one episode of the kept policy"
     values = report_training(
         progress.history,
         RunFolder(folder, facts),
         title=f"Training: {task.name} on {manifest.training.model}, seed {cfg.seed}",
         numbers=numbers,
         settings={f"{part}.{k}": v for part in ("algorithm", "train") for k, v in plain(cfg[part]).items()},
-        histograms=histograms,
         files=files,
     )
     return reported(Trained, values, "evaluation.return", folder=folder, policy=folder / "policy")
 
 
-def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[dict[str, float], Any, Any]:
-    """An evaluation with its actions [time, env, action], and states [frame, nq] of its first robot's episode."""
-    positions, actions, states = judge.simulation.batch.bind("qpos"), [], []
+def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[dict[str, float], np.ndarray]:
+    """An evaluation, and states [frame, nq] of its first robot's episode."""
+    positions, states, step = judge.simulation.batch.bind("qpos"), [], counted()
 
-    def watch(action: torch.Tensor, running: torch.Tensor) -> None:
-        if bool(running[0]) and len(actions) % FRAME_EVERY == 0:
+    def watch(_: torch.Tensor, running: torch.Tensor) -> None:
+        if next(step) % FRAME_EVERY == 0 and bool(running[0]):
             states.append(np.array(positions[0]))
-        actions.append(action.numpy())
 
-    return evaluate(judge, policy.act, seed, steps, watch), np.stack(actions), np.stack(states)
-
-
-def commands(policy: PolicyBundle, actions: Any) -> dict[str, Any]:
-    """Histograms of what the policy commands, by kind of joint."""
-    action_map = policy.manifest.action_map
-    position, gain = action_map.targets(actions)
-    middle = (action_map.targets(0 * actions[:1, :1])[0]).squeeze()
-    kinds = {}
-    for index, joint in enumerate(action_map.joints):
-        kinds.setdefault(joint[2:].replace("ank", "ankle").replace("_", " "), []).append(index)
-    angles = {kind: position[..., i] - middle[i] for kind, i in kinds.items()}
-    figures = {"Target angles over an evaluation.": histogram_figure(angles, "target angle less the stand pose [rad]")}
-    if action_map.gain_low is not None:
-        gains = {kind: gain[..., i] for kind, i in kinds.items()}
-        figures["P gains over an evaluation."] = histogram_figure(gains, "P gain [A/rad]")
-    return figures
+    return evaluate(judge, policy.act, seed, steps, watch), np.stack(states)

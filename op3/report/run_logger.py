@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-import plotly.graph_objects as go
-
 from op3.common.private import scrub
 from op3.common.wandb_settings import WandbSettings
 
@@ -83,9 +81,9 @@ class RunLogger:
         """Log numbers; steps must not decrease. Without a step, wandb counts calls."""
         self._run.log(dict(values), step=step)
 
-    def figure(self, name: str, figure: go.Figure) -> None:
-        """Log a plotly figure."""
-        self._run.log({name: self._wandb.Plotly(figure)})
+    def film(self, name: str, path: Path) -> None:
+        """Log an mp4."""
+        self._run.log({name: self._wandb.Video(str(path))})
 
     def summary(self, values: Mapping[str, Any]) -> None:
         """Set the numbers that stand for the whole run in wandb's tables."""

@@ -45,20 +45,6 @@ def reward_figure(history: History) -> go.Figure | None:
     return curves_figure(curves, STEPS, "mean per step [-]", 320, hovermode="x unified") if names else None
 
 
-def histogram_figure(values: Mapping[str, np.ndarray], axis: str) -> go.Figure:
-    """Distributions of commands over an evaluation, drawn as steps of equal width.
-
-    Args:
-        values: samples by label, any shape.
-        axis: title of the x axis, with its unit.
-    """
-    everything = np.concatenate([np.ravel(v) for v in values.values()])
-    edges = np.linspace(everything.min() - 1e-9, everything.max() + 1e-9, 41)
-    counts = {label: np.histogram(samples, edges)[0] for label, samples in values.items()}
-    curves = {label: ((edges[1:] + edges[:-1]) / 2, count / max(count.sum(), 1)) for label, count in counts.items()}
-    return curves_figure(curves, axis, "share [-]", 300, shape="hvh", yaxis_rangemode="tozero")
-
-
 def report_training(
     history: History,
     run: RunFolder,
@@ -66,7 +52,6 @@ def report_training(
     title: str,
     numbers: Mapping[str, Any],
     settings: Mapping[str, Any],
-    histograms: Mapping[str, go.Figure],
     files: Mapping[str, str],
 ) -> dict[str, Any]:
     """Publish a training.
@@ -77,12 +62,11 @@ def report_training(
         title: what was trained on what.
         numbers: of the final evaluation and the budget, for ``result.yaml``.
         settings: of the run, shown as a table.
-        histograms: figures of the commands by caption.
         files: that lie beside the page, with what is in them.
     """
-    figures = {"learning": learning_figure(history), "reward": reward_figure(history), **histograms}
+    figures = {"learning": learning_figure(history), "reward": reward_figure(history)}
     tables = {"settings": (["setting", "value"], [[name, str(value)] for name, value in settings.items()])}
-    page = Page.of("training", figures, tables, title=title, n=numbers, histograms=histograms, files=files)
+    page = Page.of("training", figures, tables, title=title, n=numbers, files=files)
     steps, judged = series(history, "evaluation/return")
     numbers = {**numbers, "learning.steps": steps.tolist(), "learning.return": judged.tolist()}
     return publish(page, numbers, run)

@@ -81,7 +81,7 @@ def test_a_training_ends_with_its_best_policy(tmp_path):
     ]
     numbers = {"evaluation.upright": 0.75, "evaluation.return": 29.0, "policy.steps": 3000, "steps": 3000,
                "updates": 40, "evaluation.episodes": 4, "wall_seconds": 90.0}  # fmt: skip
-    shown = {"settings": {"algorithm.n_step": 5}, "histograms": {}, "files": {"episode.mp4": "a film"}}
+    shown = {"settings": {"algorithm.n_step": 5}, "files": {"episode.mp4": "a film"}}
     report_training(history, RunFolder(tmp_path, {}), title="Training: balance", numbers=numbers, **shown)
     text = read(tmp_path)
     assert "stays upright in 75 % of the final episodes, with a mean return of 29.0." in text

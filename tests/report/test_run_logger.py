@@ -3,7 +3,6 @@
 import time
 from pathlib import Path
 
-import plotly.graph_objects as go
 import pytest
 
 from op3.common.wandb_settings import WandbSettings
@@ -11,20 +10,22 @@ from op3.report.run_logger import RunLogger, artifact_name, sweep_group
 
 
 def test_an_offline_run_is_written_with_group_and_values(tmp_path, monkeypatch, capfd):
-    """The run's file holds group, config, values and summary; the figure lies beside it; all is quiet."""
+    """The run's file holds group, config, values and summary; the film lies beside it; all is quiet."""
     monkeypatch.setenv("WANDB_MODE", "offline")
+    film = tmp_path / "film.mp4"
+    film.write_bytes(b"frames")
     named = WandbSettings(project="legs", tags=["first"], name="squat-s0")
     with RunLogger(tmp_path / "squats" / "0", config={"budget": 2000}, wandb=named) as logger:
         logger.log({"loss": 0.5}, step=0)
         logger.log({"loss": 0.25}, step=7)
-        logger.figure("history", go.Figure(go.Scatter(y=[1, 2])))
+        logger.film("episode", film)
         logger.summary({"error_mrad": 11.5})
     (folder,) = (tmp_path / "squats" / "0" / "wandb").glob("offline-run-*")
     expected = (b"/squats", b"budget", b"2000", b"0.25", b"error_mrad", b"11.5", b"legs", b"first", b"squat-s0")
     record = record_of(tmp_path / "squats" / "0", *expected)
     assert all(part in record for part in expected)
     media = {path.suffix for path in (folder / "files" / "media").rglob("*") if path.is_file()}
-    assert media == {".json"}
+    assert media == {".mp4"}
     assert capfd.readouterr() == ("", "")
 
 
