@@ -15,7 +15,6 @@ import torch
 from scipy.special import ive
 from torch import Tensor
 
-from op3.policy.forward_kinematics import leg_kinematics
 from op3.policy.heading import wrapped
 from op3.robot import Robot
 from op3.robot.register_units import GRAVITY
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from op3.tasks.state import State
 
 __all__ = [
-    "Footholds",
     "TrackVelocity",
     "action_rate",
     "alive",
@@ -239,71 +237,17 @@ def overload(state: State, robot: Robot) -> Tensor:
     return _penalty((load - 0.5).clamp(min=0.0).sum(-1))
 
 
-def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None, relative: bool = False) -> Tensor:
+def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) -> Tensor:
     """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward.
 
     Args:
         velocity: desired, forwards in the world [m/s].
         name: of a command whose direction and speed are desired instead.
-        relative: divided by the desired speed: a slow command is worth as much as a fast one, and standing nothing.
     """
     if name is None:
-        along = state.base_velocity[:, 0]
-        speed = torch.full_like(along, abs(velocity))
-    else:
-        along, speed = state.along(name)
-    return along.clamp(-speed, speed) / (speed.clamp(min=1e-9) if relative else 1.0)
-
-
-class Footholds:
-    """How far the soles are from where a commanded walk has them beside each other, in [-1, 0].
-
-    A foot that stands stays where it is while the body moves over it with the commanded velocity, half of its stance
-    ahead of the hip and half behind (Raibert 1986); a foot in swing goes there and back. Margolis & Agrawal (2022,
-    "Walk these ways") reward steps in this way. Places count from the middle of all feet, for a body sways.
-
-    Args:
-        velocity: desired, forwards and to the left [m/s], and rate of turning [rad/s].
-        name: of a command that is desired instead.
-        scale: mean distance at which 63 % of the penalty is reached [m].
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        gait_cycle: float | None,
-        velocity: Sequence[float] = (0.3, 0.0, 0.0),
-        name: str | None = None,
-        scale: float = 0.03,
-    ):
-        if gait_cycle is None:
-            raise ValueError("footholds need the task's gait")
-        self.velocity, self.name, self.scale = torch.tensor([velocity], dtype=torch.float64), name, scale
-        self._chains = leg_kinematics(robot)
-        self._feet, self._half = len(robot.legs), gait_cycle * STANCE_SHARE / 2
-        self._home = self._soles(torch.from_numpy(robot.home)[None])
-
-    def _soles(self, joint_position: Tensor) -> Tensor:
-        points, _ = self._chains.key_points(joint_position, torch.zeros_like(joint_position))
-        return points[..., :2].unflatten(-2, (self._feet, -1))
-
-    def __call__(self, state: State) -> Tensor:
-        """The term, ``[env]``."""
-        phase = torch.remainder(state.phase[:, None] + torch.tensor(FOOT_OFFSETS[self._feet], dtype=torch.float64), 1.0)
-        swing = 1.0 - STANCE_SHARE
-        # of the way between both ends of a stance: 1 where a foot lands, -1 where it lifts off
-        ahead = torch.where(
-            phase < swing, -torch.cos(torch.pi * phase / swing), 1.0 - 2.0 * (phase - swing) / STANCE_SHARE
-        )
-        step = (
-            ahead[..., None] * self._half * state.commands[self.name][:, None]
-        )  # [env, foot, forward | left | turned]
-        cosine, sine = torch.cos(step[..., 2, None]), torch.sin(step[..., 2, None])
-        x, y = self._home.unbind(-1)
-        wanted = torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1) + step[..., None, :2]
-        away = self._soles(state.joint_position) - wanted
-        away = away - away.mean((1, 2), keepdim=True)
-        return _penalty(norm(away).mean((1, 2)) / self.scale)
+        return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
+    along, speed = state.along(name)
+    return along.clamp(-speed, speed)
 
 
 class TrackVelocity:

@@ -9,7 +9,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.motions.op3_motions import leg_angles
 from op3.robot import load_robot
 from op3.robot.kinematics import rotation_matrix
 from op3.tasks import rewards
@@ -49,46 +48,6 @@ def test_overload_term_by_hand():
     assert overload(fifth * 0.7071, -0.3, 0.0).item() == 0.0
     value = overload(2 * fifth, -2 * fifth, 0.3)
     assert value.item() == pytest.approx(-(1 - math.exp(-7.0)))
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_footholds_by_hand(axis):
-    """At 0.2 m/s and 0.6 s per cycle a foot lands 42 mm ahead of where it stands at home, the other then 18 mm behind.
-
-    Stance takes 0.42 s, half of which is 42 mm; when one foot lands, the other has stood for 5/7 of its own.
-    """
-    robot = load_robot("op3")
-    term = rewards.Footholds(robot, gait_cycle=0.6, name="velocity")
-    home = leg_angles([0.0, 0.0, -0.19])
-    velocity, places = np.zeros(3), {"l": np.array([0.0, 0.0, -0.19]), "r": np.array([0.0, 0.0, -0.19])}
-    velocity[axis] = 0.2
-    places["l"][axis], places["r"][axis] = 0.042, -0.018
-    places["r"][1] *= -1.0  # a mirror image of the left leg
-    angles = {
-        f"{side}_{name}": (1 if side == "l" else -1) * angle
-        for side, place in places.items()
-        for name, angle in leg_angles(place).items()
-    }
-
-    def value(position: np.ndarray, velocity: np.ndarray) -> float:
-        state = SimpleNamespace(
-            joint_position=torch.from_numpy(position)[None],
-            phase=tensor(0.3),
-            commands={"velocity": torch.from_numpy(velocity)[None]},
-        )
-        return term(state).item()
-
-    standing = robot.completed({f"l_{name}": angle for name, angle in home.items()})
-    term._home = term._soles(torch.from_numpy(standing)[None])  # flat soles 0.19 m below the hips
-    assert value(standing, np.zeros(3)) == pytest.approx(0.0, abs=1e-9)
-    assert value(robot.completed(angles), velocity) == pytest.approx(0.0, abs=1e-6)
-    assert value(standing, velocity) == pytest.approx(-(1 - math.exp(-0.03 / 0.03)), abs=1e-6)  # both 30 mm away
-
-
-def test_a_relative_bonus_is_the_same_at_every_speed():
-    """A robot as fast as it should be earns 1, one at half the speed 0.5, a standing one that should stand 0."""
-    state = SimpleNamespace(along=lambda name: (tensor(0.3, 0.05, 0.0), tensor(0.3, 0.1, 0.0)))
-    assert rewards.speed_bonus(state, name="velocity", relative=True).tolist() == [1.0, 0.5, 0.0]
 
 
 def test_bipedal_term_by_hand():
