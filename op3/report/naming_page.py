@@ -7,20 +7,12 @@ import numpy as np
 import plotly.graph_objects as go
 
 from op3.report.page import Page
-from op3.report.style import INK, MUTED, NAMES, colours, dress, plain
+from op3.report.style import INK, MUTED, NAMES, colours, dress, plain, spread
 from op3.report.tables import TableRows
 
 LABELS = NAMES["rates"]
 CASE = NAMES["case"]
 MEDIANS = NAMES["medians"]
-
-
-def _spread(middle: Any, low: Any, high: Any) -> dict[str, Any]:
-    """Error bars from `low` to `high`."""
-    return dict(
-        type="data", symmetric=False, thickness=1.5, width=0, array=np.subtract(high, middle),
-        arrayminus=np.subtract(middle, low),
-    )  # fmt: skip
 
 
 def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
@@ -36,7 +28,7 @@ def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
         some = [(i, summary[key]) for i, key in enumerate(shown) if summary.get(key)]
         middle, low, high = ([100 * rate[part] for _, rate in some] for part in ("value", "low", "high"))
         figure.add_scatter(
-            x=middle, y=[i + lane for i, _ in some], error_x=_spread(middle, low, high), mode="markers",
+            x=middle, y=[i + lane for i, _ in some], error_x=spread(middle, low, high), mode="markers",
             name=plain(label), marker=dict(color=colour[label], size=9),
             customdata=[[rate["count"], rate["of"]] for _, rate in some],
             hovertemplate="%{x:.0f} %, %{customdata[0]} of %{customdata[1]}",
@@ -57,7 +49,7 @@ def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> go.Figu
             *shares, count = np.transpose(values["reliability"])
             stated, right, low, high = 100 * np.array(shares)
             figure.add_scatter(
-                x=stated, y=right, error_y=_spread(right, low, high), mode="lines+markers", name=plain(label),
+                x=stated, y=right, error_y=spread(right, low, high), mode="lines+markers", name=plain(label),
                 marker=dict(color=colour[label], size=6 + 2 * np.sqrt(count)), customdata=count,
                 hovertemplate="%{y:.0f} % of %{customdata} right",
             )  # fmt: skip

@@ -1,6 +1,5 @@
 """The page, numbers and wandb run of a re-identification (paper, Fig. "Materials for analysis")."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from op3.identify.intervals import at_bound
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
-from op3.report.style import INK, MUTED, PALETTE, curves_figure, dress, faded, words
+from op3.report.style import INK, MUTED, curves_figure, words
 from op3.report.tables import TableRows, place_in_range
 from op3.servo import RobotModel, parameter
 from op3.transfer.reidentification import TOLERATED
@@ -113,20 +112,13 @@ def _returns_figure(found: Reidentified) -> go.Figure:
 
 def _front_figure(found: Reidentified, study: optuna.Study) -> go.Figure:
     played = [t.values for t in study.trials if t.values is not None and "returns" in t.user_attrs]
-    figure = go.Figure()
-    if played:
-        x, y = np.array(played).T
-        figure.add_scatter(x=x, y=y, mode="markers", name="trials", marker=dict(color=faded(MUTED, 0.35), size=5))
-    diamond = dict(mode="markers", marker_size=13, marker_symbol="diamond")
-    marks: list[tuple[str, Sequence[ParetoPoint], dict[str, Any]]] = [
-        ("Pareto front", [one for one in found.front if one.returns], dict(mode="lines+markers", line_shape="hv")),
-        (found.start_name, [found.start], diamond),
-        (FOUND, [found.chosen], diamond),
-    ]
-    for (label, some, look), colour in zip(marks, (PALETTE[2], PALETTE[1], PALETTE[0]), strict=True):
-        x, y = [one.excitation for one in some], [one.distance for one in some]
-        figure.add_scatter(x=x, y=y, name=label, marker_color=colour, **look)
-    figure.add_vline(x=TOLERATED * found.start.excitation, line=dict(color=MUTED, dash="dot"))
-    dress(figure, 400, hovermode="closest")
-    figure.update_xaxes(title_text="excitation loss [-]", type="log")
-    return figure.update_yaxes(title_text="distance of returns [-]", rangemode="tozero")
+    front = [one for one in found.front if one.returns]
+    points = {FOUND: [found.chosen], found.start_name: [found.start], "Pareto front": front}
+    curves = {name: ([one.excitation for one in some], [one.distance for one in some]) for name, some in points.items()}
+    curves |= {"trials": tuple(zip(*played, strict=True))} if played else {}
+    axes = "excitation loss [-]", "distance of returns [-]"
+    figure = curves_figure(curves, *axes, 400, "markers", xaxis_type="log", yaxis_rangemode="tozero")
+    figure.update_traces(marker_size=13, marker_symbol="diamond", selector=lambda trace: len(trace.x) == 1)
+    figure.update_traces(mode="lines+markers", line_shape="hv", selector={"name": "Pareto front"})
+    figure.update_traces(marker=dict(color=MUTED, opacity=0.35, size=5), selector={"name": "trials"})
+    return figure.add_vline(x=TOLERATED * found.start.excitation, line=dict(color=MUTED, dash="dot"))

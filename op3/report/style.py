@@ -158,6 +158,14 @@ def curves_figure(curves: Curves, x: str, y: str, height: int = 360, mode: str =
     return grid_figure({y: curves}, x, height, 1, mode, **layout)
 
 
+def spread(middle: Any, low: Any, high: Any) -> dict[str, Any]:
+    """Error bars from `low` to `high`."""
+    return dict(
+        type="data", symmetric=False, thickness=1.5, width=0, array=np.subtract(high, middle),
+        arrayminus=np.subtract(middle, low),
+    )  # fmt: skip
+
+
 def boxes_figure(boxes: Mapping[str, Mapping[str, Sequence[float]]], y: str, height: int = 380) -> go.Figure:
     """Single values and their quartiles: by label, a colour each, then by place on the abscissa."""
     figure, colour = go.Figure(), colours(list(boxes))

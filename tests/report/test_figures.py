@@ -166,14 +166,11 @@ def test_best_so_far_never_rises_and_skips_failures():
 
 
 def test_ranges_place_values_intervals_and_nominals():
-    """0.7 in [0.6, 1.0] lies at a quarter; its interval, its nominal and its text are there, the other model is not."""
-    figure = ranges_figure(models(), ["backward_efficiency"])
-    marks = [t for t in figure.data if t.mode == "markers" and t.x[0] is not None]
-    assert [t.x[0] for t in marks] == [pytest.approx(0.25)]
-    interval = next(t for t in figure.data if t.mode == "lines")
-    assert list(interval.x) == pytest.approx([0.125, 0.375])
-    assert [s.x0 for s in figure.layout.shapes if s.type == "line"] == [pytest.approx(0.5)]
-    assert "0.7  (0.65 to 0.75)" in [a.text for a in figure.layout.annotations]
+    """0.7 in [0.6, 1.0] lies at a quarter, with its interval, start and text; the other model has no marker."""
+    start, shown, _, other, _ = ranges_figure(models(), ["backward_efficiency"]).data
+    assert [*start.x, *shown.x, *other.x] == pytest.approx([0.5, 0.25])
+    assert [*shown.error_x.arrayminus, *shown.error_x.array] == pytest.approx([0.125, 0.125])
+    assert shown.text[0].startswith("0.7 (0.65 to 0.75)")
 
 
 def test_ranges_refuse_a_parameter_of_no_model():
