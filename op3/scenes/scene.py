@@ -210,7 +210,8 @@ def check_scene(name: str, robot: Robot) -> None:
         raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}, or give an MJCF file or package.function")
     if name not in ("stand", "bench") and not robot.sole_geoms:
         raise ValueError(
-            f"{robot.name} does not walk: the scene {name!r} needs soles, and its file names none, nor colliding feet"
+            f"{robot.name} does not walk: the scene {name!r} needs soles, but its file names neither soles nor"
+            " colliding feet"
         )
 
 
