@@ -24,7 +24,9 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
-from op3.diagnose.findings import NamingStage, Proposal, Search
+from op3.diagnose.base import settle
+from op3.diagnose.findings import Search
+from op3.diagnose.naming import NamingStage, Proposal
 from op3.motions import Excitation, Motion, leg_suite
 from op3.motions.op3_suites import LEG_JOINTS
 from op3.replay.windows import WindowResiduals
@@ -110,9 +112,9 @@ def case_of(fault: str, robot: str, seed: int) -> Case:
     return bench.Case(f"{fault}_{robot}_{seed}", seed, kind, None, base, world, effects, joints, robot)
 
 
-def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> NamingStage | None:
-    """The stage with an effect that is known to be there, its size and the base fitted as a finding's are; None where
-    the judge has dropped that effect before anything was refitted."""
+def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> RobotModel | None:
+    """The model with an effect that is known to be there, its size and the base fitted as a finding's are; None where
+    that is no candidate: every baseline fit has its numbers."""
     names = search.reduction.engine.joints
     place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
     odds = stage.judge.scores(stage.fit)
@@ -122,7 +124,8 @@ def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> Na
     number = max(there, key=lambda i: float(odds[i]))
     with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
     step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
-    return search.with_best(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.state)])
+    best = search.refitted(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.state)])[0][0].base
+    return settle(search.reduction, best.coordinates, best.point, state=best.fit.state).model
 
 
 def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list[list[float]]:
@@ -149,8 +152,8 @@ def diagnosed(case: Case) -> dict[str, Any]:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     models, search = [given, verdict.base, verdict.model], diagnosis.search
     if case.hidden and search is not None:
-        stage = with_hidden_effect(search, diagnosis.stages[0], case.hidden[0])
-        models += [] if stage is None else [stage.base.model]
+        told = with_hidden_effect(search, diagnosis.stages[0], case.hidden[0])
+        models += [] if told is None else [told]
     errors = window_errors(models, split.show)
     findings = [
         {

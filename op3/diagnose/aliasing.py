@@ -7,8 +7,8 @@ import numpy as np
 
 from op3.diagnose.base import base_numbers
 from op3.diagnose.diagnosis import Diagnosis
-from op3.diagnose.findings import NamingStage
 from op3.diagnose.judge import Judge
+from op3.diagnose.naming import NamingStage
 from op3.diagnose.verdict import separating
 from op3.diagnose.visibility import size_of, smallest_sizes
 

@@ -192,8 +192,6 @@ def _possible(effect: type[Effect], model: RobotModel) -> bool:
     """Whether a robot with a held base and this drive could show it, and the base does not have it as a number."""
     if not effect.secants or not effect.foreseeable or effect.free_base:
         return False
-    if any(CHAIN[p.name].own for p in effect.parameters if p.name in CHAIN):
-        return False
     if any(e.target in ("base_body", "ground_geom", "option") for e in effect.edits):
         return False
     regulated = "current_pd" in model.effect_names

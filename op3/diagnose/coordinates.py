@@ -14,9 +14,6 @@ from op3.servo import Effect, Parameter, RobotModel, Usual, catalogue
 from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia
 
-SPREAD: Mapping[str, float] = {name: share for e in catalogue().values() for name, share in e.spread.items()}
-"""By how much servos of one make differ, as a standard deviation relative to the shared value."""
-
 SPREAD_LIMIT = 3.0
 """Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
 
@@ -33,6 +30,12 @@ CHAIN: Mapping[str, Usual] = {name: usual for name, usual in _USUAL.items() if n
 
 BENCH: Mapping[str, Usual] = {name: usual for name, usual in _USUAL.items() if usual.bench}
 """What is part of every baseline of a bench."""
+
+SPREAD: Mapping[str, float] = {name: share for e in catalogue().values() for name, share in e.spread.items()}
+"""By how much servos of one make differ, as a standard deviation relative to the shared value."""
+
+OWN: Mapping[str, float] = {name: usual.spread for name, usual in CHAIN.items() if usual.own}
+"""By how much they differ in numbers of the chain that each has for itself."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Coordinate:
     @property
     def of_servo(self) -> bool:
         """Whether it says by how much one servo differs from the others."""
-        return self.kind == "scale" and self.joints is not None
+        return self.joints is not None and (self.kind == "scale" or (self.kind == "value" and self.parameter in OWN))
 
 
 @dataclass(frozen=True)
@@ -250,16 +253,16 @@ def with_own_spread(
 ) -> tuple[Coordinates, np.ndarray]:
     """Expectations of servos that differ as this robot's do.
 
-    What they have in common goes to the shared number, so that the point ``[coordinate]`` is handed back too, as the
-    same base; `told` are the standard deviations of its numbers.
+    What they have in common goes to the shared number if there is one, so that the point ``[coordinate]`` is handed
+    back too, as the same base; `told` are the standard deviations of its numbers.
     """
     entries, point = list(coordinates.entries), point.copy()
-    for name, usual in SPREAD.items():
+    for name, usual in (SPREAD | OWN).items():
         mine = [i for i, entry in enumerate(entries) if entry.parameter == name]
-        own = [i for i in mine if entries[i].kind == "scale" and entries[i].joints is not None]
+        own = [i for i in mine if entries[i].of_servo]
         if not own:
             continue
-        middle = float(np.median(point[own]))
+        middle = 0.0 if name in OWN else float(np.median(point[own]))
         deviation = own_spread(point[own], told[own], usual, settings)
         for i in own:
             entries[i] = replace(entries[i], deviation=deviation)
@@ -276,11 +279,12 @@ def any_spread(coordinates: Coordinates, tails: float) -> Coordinates:
     Args:
         tails: degrees of freedom of Student's expectation.
     """
-    low, high = 1 / WIDEST - 1, WIDEST - 1
-    entries = [
-        replace(entry, low=low, high=high, tails=tails) if entry.of_servo else entry for entry in coordinates.entries
-    ]
-    return replace(coordinates, entries=tuple(entries))
+
+    def free(entry: Coordinate) -> Coordinate:
+        ends = (1 / WIDEST - 1, WIDEST - 1) if entry.kind == "scale" else (entry.low, entry.high)
+        return replace(entry, low=ends[0], high=ends[1], tails=tails) if entry.of_servo else entry
+
+    return replace(coordinates, entries=tuple(map(free, coordinates.entries)))
 
 
 def usual_spread(coordinates: Coordinates) -> Coordinates:

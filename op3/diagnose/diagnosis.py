@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.base import Baseline, at_point, fit_base, unfitted
+from op3.diagnose.base import Baseline, at_point, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
-from op3.diagnose.doubts import AT_BOUND, doubts, freed, unidentifiable, unusual
-from op3.diagnose.findings import NamingStage, Search
+from op3.diagnose.doubts import doubts, freed, unidentifiable, unusual
+from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge_settings import SETTINGS, Settings
+from op3.diagnose.naming import NamingStage
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
+from op3.diagnose.starts import fit_base
 from op3.diagnose.unexplained import joint_gaps
 from op3.diagnose.verdict import LIKELY, Alternative, Finding, Verdict
 from op3.diagnose.visibility import not_shown
@@ -209,20 +211,21 @@ class Diagnosis:
         """Findings of the last stage, sharing their probability with rivals."""
         assert self.search is not None
         result, joints, opened = [], reduction.engine.joints, self.search.opened(stage)
-        variance = np.diag(stage.fit.covariance)
         entries = stage.base.coordinates.entries
+        places = [(entry.parameter, entry.joints) for entry in entries]
         for number, one in enumerate(stage.named):
             i = entries.index(one.coordinates[0])
             share = np.exp(-self.settings.steepness * np.array([0.0, *(max(r.behind.z, 0.0) for r in one.rivals)]))
             z = one.gain.z if opened is None else min(one.gain.z, opened[number].z)
             share = self._probability(z) * share / share.sum()
-            both = zip(one.rivals, share[1:], strict=True)
-            rivals = tuple(_alternative(rival.candidate, joints, float(part)) for rival, part in both)
+            shares = zip(one.rivals, share[1:].tolist(), strict=True)
+            rivals = tuple(_alternative(rival.candidate, joints, part) for rival, part in shares)
             known = one.candidate.model.parameters()[entries[i].parameter]
-            point, reach = stage.base.point[i], AT_BOUND * (entries[i].high - entries[i].low)
-            ended = point - entries[i].low < reach or entries[i].high - point < reach
+            # with what the baseline has of the same number of that servo alone
+            both = [k for k, place in enumerate(places) if place == places[i] and entries[k].kind != "scale"]
+            point, variance = stage.base.point[both].sum(), stage.fit.covariance[np.ix_(both, both)].sum()
             size = float(point + (known.neutral or 0.0))
-            half = QUANTILE * float(np.sqrt(variance[i] + (self.settings.form * point) ** 2))
+            half = QUANTILE * float(np.sqrt(variance + (self.settings.form * point) ** 2))
             result.append(
                 Finding(
                     one.candidate.effect.name,
@@ -238,7 +241,7 @@ class Diagnosis:
                     rivals,
                     one.relevance.torque,
                     one.relevance.load,
-                    beyond=bool(ended and point != 0.0),
+                    beyond=bool(stage.base.point[i] in (entries[i].low, entries[i].high) and point != 0.0),
                     opened=None if opened is None else opened[number].z,
                 )
             )
@@ -249,7 +252,7 @@ class Diagnosis:
         result, joints = [], reduction.engine.joints
         assert self.search is not None
         base, rows = stage.base, stage.judge.rows
-        for one in unusual(given, base, stage.fit, stage.judge.numbers):
+        for one in unusual(given, base):
             if one.log_odds < self.settings.alarm:
                 continue
             better, usual = freed(reduction, base, one.number, one.held, self.settings)
@@ -260,12 +263,12 @@ class Diagnosis:
             entry = base.coordinates.entries[one.number]
             effect = next(e for e in catalogue().values() if entry.parameter in {p.name for p in e.parameters})
             known = next(p for p in effect.parameters if p.name == entry.parameter)
-            value, half = float(base.point[one.number]), QUANTILE * one.deviation
-            where = joints if entry.joints is None else tuple(joints[j] for j in entry.joints)
+            value = float(base.point[one.number])
+            off = self.settings.form * (value - one.held.prior)
+            half = QUANTILE * float(np.hypot(one.deviation, off))
             ends = max(value - half, known.least), min(value + half, known.most)
-            place = (where, entry.joints is None)
             told = (known.name, value, known.unit, ends, probability, one.log_odds, gain)
-            result.append(Finding(effect.name, *place, *told, of_base=True))
+            result.append(Finding(effect.name, joints, True, *told, of_base=True))
         return result
 
     @staticmethod

@@ -10,15 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, gap_of, settle
-from op3.diagnose.coordinates import CHAIN, Coordinate, Coordinates, own_spread
-from op3.diagnose.judge import Numbers, Posterior, evidence
+from op3.diagnose.coordinates import CHAIN, SPREAD_LIMIT, Coordinate, Coordinates
+from op3.diagnose.judge import evidence
 from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name
-
-AT_BOUND = 0.001
-"""Share of its range within which a number is at its bound."""
 
 SAME_OPTIMUM, APART = 20.0, 0.15
 """Bases apart by less in minus two log evidence, and by more of a shared number's range, are two optima."""
@@ -31,8 +28,7 @@ def at_bound(base: Baseline) -> list[Coordinate]:
     """Shared numbers that logs exercise and that ended where their range does, but not what physics allows."""
     result, known, unexercised = [], base.coordinates.model.parameters(), set(unidentifiable(base))
     for entry, value in zip(base.coordinates.entries, base.point, strict=True):
-        reach, one = AT_BOUND * (entry.high - entry.low), known[split_name(entry.parameter)[0]]
-        low, high = value - entry.low < reach, entry.high - value < reach
+        one, low, high = known[split_name(entry.parameter)[0]], value <= entry.low, value >= entry.high
         natural = entry.low == one.least if low else entry.high == one.most
         shared = entry.joints is None and entry.kind == "value" and entry.parameter not in unexercised
         if shared and (low or high) and not natural:
@@ -89,7 +85,7 @@ class Unusual:
         number: of the base's coordinate.
         log_odds: against its being usual, or what the given model says.
         deviation: standard deviation of what the logs say of it.
-        held: the coordinate if it were usual.
+        held: the coordinate within what is usual: a prior alone gives way to the logs.
     """
 
     number: int
@@ -98,32 +94,27 @@ class Unusual:
     held: Coordinate
 
 
-def unusual(
-    given: RobotModel, base: Baseline, fit: Posterior, numbers: Numbers, settings: Settings = SETTINGS
-) -> list[Unusual]:
-    """How far each of the chain's numbers is from what is usual, or from what the given model says.
+def unusual(given: RobotModel, base: Baseline) -> list[Unusual]:
+    """How far each number that all share of the chain is from what is usual, or from what the given model says.
 
-    A number that every servo has for itself is usual where it differs no more than those of this robot's others. One
-    that all share is judged by the base alone, as candidates of many joints, each there a little, imitate it together.
+    They are judged by the base alone, as candidates of many joints, each there a little, imitate them together.
     """
-    both = base_numbers(base.coordinates, base.point).likelihoods(base.fit), numbers.likelihoods(fit)
-    shared = np.array([entry.joints is None for entry in base.coordinates.entries])
-    linear, curvature = (np.where(shared, one, other[: len(shared)]) for one, other in zip(*both, strict=True))
+    linear, curvature = base_numbers(base.coordinates, base.point).likelihoods(base.fit)
     known, found, point = given.parameters(), [], base.point
-    for name, chain in CHAIN.items():
-        mine = [i for i, e in enumerate(base.coordinates.entries) if e.parameter == name and e.kind == "value"]
-        told = 1 / np.sqrt(curvature[mine])
-        spread = own_spread(point[mine], told, chain.spread, settings) if chain.own and len(mine) > 1 else chain.spread
-        expected = given.value(name) if name in known else chain.value
+    for i, entry in enumerate(base.coordinates.entries):
+        if entry.parameter not in CHAIN or entry.joints is not None:
+            continue
+        name, chain = entry.parameter, CHAIN[entry.parameter]
+        expected, spread = given.value(name) if name in known else chain.value, chain.spread
         if name not in known and chain.none is not None:
             expected, spread = 0.0, chain.none
-        for i, deviation in zip(mine, told, strict=True):
-            entry, usual = base.coordinates.entries[i], np.array(expected - point[i])
-            low, high = entry.low - point[i], entry.high - point[i]
-            slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
-            spike = evidence(linear[i], curvature[i], usual, np.array(spread))
-            held = replace(entry, prior=expected, deviation=spread)
-            found.append(Unusual(i, float(slab - spike), float(deviation), held))
+        usual, low, high = np.array(expected - point[i]), entry.low - point[i], entry.high - point[i]
+        slab = evidence(linear[i], curvature[i], usual, np.array(chain.most / 2), low, high)
+        spike = evidence(linear[i], curvature[i], usual, np.array(spread))
+        reach = SPREAD_LIMIT * spread
+        ends = max(entry.low, expected - reach), min(entry.high, expected + reach)
+        held = replace(entry, low=ends[0], high=ends[1], prior=expected, deviation=spread)
+        found.append(Unusual(i, float(slab - spike), float(curvature[i] ** -0.5), held))
     return found
 
 

@@ -1,20 +1,22 @@
 """Findings, one after another: the judge's evidence proposes, predictions of runs that were left out decide."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, robust, settle, thin_windows
-from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors, secants_of_place
+from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, settle
+from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.doubts import at_bound, opened
 from op3.diagnose.held_out import Gain, HeldOut, HeldOutScore
-from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, Variances, log_mass
+from op3.diagnose.judge import Judge, Rows, Variances, log_mass
 from op3.diagnose.judge_settings import SETTINGS, Settings
+from op3.diagnose.naming import Judged, Named, NamingStage, Proposal, Refit, Rival, numbers_of
 from op3.diagnose.reduction import COARSE, Reduction
-from op3.diagnose.relevance import Relevance, relevance
+from op3.diagnose.relevance import relevance
+from op3.diagnose.starts import robust, thin_windows
 
 MOST = 3
 """Findings that are looked for, and places of which candidates are refitted."""
@@ -31,170 +33,7 @@ ALIKE = 0.7
 SIZES = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 """Shares of the largest plausible size, and of the least, from which a refit may begin."""
 
-NOTHING = 1e-6
-"""Torque below which a candidate does nothing here [units]."""
-
 Place = tuple[str, tuple[int, ...] | None]
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """A candidate with the size that is linear in the judge's rows.
-
-    Attributes:
-        number: of the candidate.
-        step: how far the base's numbers move with it, ``[coordinate]``.
-        share: of its secant.
-        state: the judge's variances.
-    """
-
-    number: int
-    step: np.ndarray
-    share: float
-    state: Variances
-
-
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """A candidate fitted with everything else, nonlinearly.
-
-    Attributes:
-        log_odds: by the evidence of the windows that were fitted.
-        base: the fit.
-        number: of the candidate.
-        coordinates: its own numbers in the fit, its size the first.
-    """
-
-    log_odds: float
-    base: Baseline
-    number: int
-    coordinates: tuple[Coordinate, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """A refit beside the model without it.
-
-    Attributes:
-        refit: what was fitted.
-        candidate: what it is of.
-        score: of runs that were left out.
-        gain: on the model without it.
-        relevance: what it does.
-    """
-
-    refit: Refit
-    candidate: Candidate
-    score: HeldOutScore
-    gain: Gain
-    relevance: Relevance
-
-    @property
-    def evidence(self) -> float:
-        """What fitted windows and runs that were left out say together."""
-        return self.refit.log_odds + self.gain.mean * self.gain.runs
-
-
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """A name that predicts runs that were left out as well as a finding's, and the same of them.
-
-    Attributes:
-        candidate: what it is.
-        behind: the finding's gain on it.
-    """
-
-    candidate: Candidate
-    behind: Gain
-
-
-@dataclass(frozen=True, eq=False)
-class Named:
-    """An effect that was found.
-
-    Attributes:
-        candidate: what it is.
-        coordinates: its numbers in the fit, its size the first.
-        log_odds: by the evidence of the windows that were fitted, when it was named.
-        gain: of the model with it on the model without, in runs that were left out.
-        relevance: what it does.
-        rivals: names that are not distinguished from it.
-    """
-
-    candidate: Candidate
-    coordinates: tuple[Coordinate, ...]
-    log_odds: float
-    gain: Gain
-    relevance: Relevance
-    rivals: tuple[Rival, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class NamingStage:
-    """The judge around a base with some effects named.
-
-    Attributes:
-        base: the fit, the named effects' numbers the last of its own.
-        named: the effects.
-        found: candidates.
-        columns: of those in one joint or in all, by key, ``[joint, window, row]``.
-        judge: of them.
-        fit: with nothing else named.
-    """
-
-    base: Baseline
-    named: tuple[Named, ...]
-    found: tuple[Candidate, ...]
-    columns: Mapping[tuple, np.ndarray]
-    judge: Judge
-    fit: Posterior
-
-
-def numbers_of(
-    base: Baseline, found: Sequence[Candidate], parts: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
-) -> Numbers:
-    """Priors of the base's numbers and of the candidates.
-
-    A spike is what makes so much torque, root mean square over the joints that feel it; the secants of one effect in
-    one place share it, and the place's prior. Parts are keys of candidates in one joint or in all, of which the others
-    are sums.
-    """
-    own, number = base.numbers, {key: i for i, key in enumerate(parts)}
-    model = base.model
-    low, high, slab = np.array([one.reach(model, settings) for one in found]).reshape(-1, 3).T
-    size = _torques(rows, len(base.point), len(parts))
-    spike, secants = np.full(len(parts), 1e-9), secants_of_place(found)
-    for one, wide, count in zip(found, slab, secants, strict=True):
-        i = number.get(one.key)
-        if i is not None and size[i] > NOTHING:
-            ends = settings.spike_ends[0] * wide, settings.spike_ends[1] * wide
-            spike[i] = np.clip(settings.spike / size[i], *ends) / np.sqrt(count)
-    members = [tuple(number[key] for key in one.parts if key in number) for one in found]
-    seen = np.array([max((size[i] for i in one), default=0.0) > NOTHING for one in members], bool)
-    return Numbers(
-        np.concatenate([own.mean, np.zeros(len(parts))]),
-        np.concatenate([own.deviation, spike]),
-        tuple(tuple(len(base.point) + i for i in one) for one in members),
-        slab,
-        low,
-        high,
-        np.where(seen, place_priors(found) - np.log(secants), -np.inf),
-        np.concatenate([own.least, np.full(len(parts), -np.inf)]),
-        np.concatenate([own.most, np.full(len(parts), np.inf)]),
-    )
-
-
-def _torques(rows: Rows, own: int, count: int) -> np.ndarray:
-    """What each column behind the base's makes, root mean square over the joints that feel it [units], ``[column]``."""
-    square, felt, torque = np.zeros(count), np.zeros(count), rows.kinds < 2
-    for columns, values, variance in zip(rows.columns, rows.values, rows.variance, strict=True):
-        mine, seen = columns >= own, np.isfinite(variance[:, 0])
-        part = np.abs(values[mine][:, seen][..., torque]).reshape(int(mine.sum()), -1)
-        if part.size:
-            part = np.minimum(part, np.quantile(part, 0.97, axis=1, keepdims=True))
-            square[columns[mine] - own] += np.square(part).sum(1)
-            felt[columns[mine] - own] += part.shape[1]
-    return np.sqrt(square / np.maximum(felt, 1))
 
 
 class Search:
@@ -210,7 +49,6 @@ class Search:
         self.reduction, self.without, self.settings = reduction, tuple(without), settings
         self.progress = progress
         self.held, self.thin = HeldOut(reduction), reduction.thinned(thin_windows(reduction))
-        self.considered: list[Judged] = []
 
     def first(self, base: Baseline) -> NamingStage:
         """The judge around a base with nothing named."""
@@ -259,7 +97,7 @@ class Search:
                 stages.append(self._with_gains(further, gains))
             else:  # the new name makes an earlier one needless, and takes its place
                 kept = [one for one, gain in zip(further.named, gains, strict=True) if self.good(gain)]
-                stages[-1] = self._around(further, self._less(further, kept, 2), tuple(kept))
+                stages[-1] = self.around(further, self._less(further, kept, 2), tuple(kept))
             self.progress(0.4 + 0.6 * (number + 1) / most)
         self.progress(1.0)
         return stages
@@ -272,7 +110,7 @@ class Search:
         """The stage with one more effect named; None where none is worth it."""
         odds, shared = stage.judge.scores(stage.fit), self.shared(stage)
         leaders = self.leaders(stage, odds, stage.fit.state)
-        if (named := self._name(stage, [*shared, *self.taken_back(stage), *leaders])) is not None:
+        if (named := self._name(stage, [*shared, *self.in_bad_joints(stage), *leaders])) is not None:
             return named
         # what happens in few windows only is hidden where these count for little: let them count in full to propose it,
         # and begin anew with it, so that windows which it explains count again
@@ -318,17 +156,23 @@ class Search:
         kept = {*first, *[place for place in places[MOST:] if place in behind][:MOST]}
         return [one for _, one in estimates if stage.found[one.number].place in kept]
 
-    def taken_back(self, stage: NamingStage) -> list[Proposal]:
-        """Candidates for what the base was taken back from; the base has a little of the same, which hides them."""
-        base = stage.base
-        entries = [base.coordinates.entries[i] for i in np.flatnonzero(base.taken_back)]
-        places = {(entry.parameter, entry.joints) for entry in entries}
-        no_step = np.zeros(len(base.point))
-        return [
-            Proposal(number, no_step, 1.0, stage.fit.state)
-            for number, candidate in enumerate(stage.found)
-            if (candidate.sized, candidate.joints) in places
-        ]
+    def in_bad_joints(self, stage: NamingStage) -> list[Proposal]:
+        """Candidates in joints of which the base was taken back, one of each place, the best first, at the size that
+        predicts a third of the windows best: where a fault makes a joint stick nothing linear says what it is, and the
+        base has a little of what it was taken back from, which hides that."""
+        base, costs = stage.base, dict[Place, tuple[float, Proposal]]()
+        bad = {base.coordinates.entries[i].joints for i in np.flatnonzero(base.taken_back)}
+        limbs = {joints: self.thin.limb_of[joints[0]] for joints in bad if joints}
+        without = {at: self._costs(base.coordinates, base.point[None], limb)[0] for at, limb in limbs.items()}
+        for number, candidate in enumerate(stage.found):
+            if candidate.joints not in limbs:
+                continue
+            start, cost = self._begun(self._joined(stage, number, 1.0), (base.point,), limbs[candidate.joints])
+            share = float(start[len(base.point)]) / candidate.secant[candidate.sized]
+            gained = cost - without[candidate.joints]
+            if gained < costs.get(candidate.place, (0.0,))[0]:
+                costs[candidate.place] = gained, Proposal(number, np.zeros(len(base.point)), share, stage.fit.state)
+        return [one for _, one in sorted(costs.values(), key=lambda one: one[0])][:MOST]
 
     def shared(self, stage: NamingStage) -> list[Proposal]:
         """Candidates of all joints that are evident once the base has taken a step with them, best first.
@@ -390,43 +234,33 @@ class Search:
         that are not distinguished from it; None where none predicts them better beyond chance, or all do too little."""
         if not proposals:
             return None
-        refits, control = self._refitted(stage, proposals)
-        rows = stage.judge.rows
-        scores = (self.held.score(base, rows) for base in (stage.base, control))
+        refits, control = self.refitted(stage, proposals)
+        scores = (self.held.score(base, stage.judge.rows) for base in (stage.base, control))
         without = max(scores, key=lambda one: one.density.sum())
         judged = [self._judged(stage, refit, without) for refit in refits]
-        self.considered += judged
-        alarm = self.settings.alarm
-        passed = [o for o in judged if self.good(o.gain) and o.relevance.matters and o.refit.log_odds > alarm]
+        passed = [one for one in judged if self._passes(one.named)]
         if not passed:
             return None
-        best = max(passed, key=lambda one: one.evidence)
+        best = max(passed, key=lambda one: one.named.evidence)
         alike = [one for one in passed if one is not best and _alike(best.score, one.score, without)]
-        behind = [Rival(one.candidate, Gain.of(best.score, one.score)) for one in alike]
+        behind = [Rival(one.named.candidate, Gain.of(best.score, one.score)) for one in alike]
         rivals = tuple(rival for rival in behind if not self.good(rival.behind))
-        named = Named(best.candidate, best.refit.coordinates, best.refit.log_odds, best.gain, best.relevance, rivals)
-        return self._around(stage, best.refit.base, (*stage.named, named))
+        return self.around(stage, best.base, (*stage.named, replace(best.named, rivals=rivals)))
+
+    def _passes(self, one: Named) -> bool:
+        return self.good(one.gain) and one.relevance.matters and one.log_odds > self.settings.alarm
 
     def _judged(self, stage: NamingStage, refit: Refit, without: HeldOutScore) -> Judged:
         """A refit beside the model without it; what it does is held against what named effects of its family do."""
-        candidate, base, rows = stage.found[refit.number], refit.base, stage.judge.rows
+        candidate, base, rows, size = stage.found[refit.number], refit.base, stage.judge.rows, len(stage.base.point)
         related = [one for one in stage.named if candidate.effect.related({one.candidate.effect.name})]
         relatives = [base.coordinates.entries.index(one.coordinates[0]) for one in related]
-        its = self.reduction.rows(base.linear, (), rows)
-        does = relevance(self.reduction, base, len(stage.base.point), its, self.settings, relatives)
-        score = self.held.score(base, rows)
-        return Judged(refit, candidate, score, Gain.of(score, without), does)
+        its, score = self.reduction.rows(base.linear, (), rows), self.held.score(base, rows)
+        does = relevance(self.reduction, base, size, its, self.settings, relatives)
+        gain, own = Gain.of(score, without), base.coordinates.entries[size:]
+        return Judged(Named(candidate, own, refit.log_odds, gain, does), base, score)
 
-    def with_best(self, stage: NamingStage, proposals: Sequence[Proposal]) -> NamingStage:
-        """The stage with the most evident of proposals named, whether or not runs that were left out bear it out."""
-        best = self._refitted(stage, proposals)[0][0]
-        rows = stage.judge.rows
-        gain = Gain.of(self.held.score(best.base, rows), self.held.score(stage.base, rows))
-        does = relevance(self.reduction, best.base, len(stage.base.point), rows, self.settings)
-        named = Named(stage.found[best.number], best.coordinates, best.log_odds, gain, does)
-        return self._around(stage, best.base, (*stage.named, named))
-
-    def _refitted(self, stage: NamingStage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Baseline]:
+    def refitted(self, stage: NamingStage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Baseline]:
         """Proposals refitted with the base, the best of each place, the most evident first; and the base refitted
         without, from where the most evident has left it.
 
@@ -443,14 +277,14 @@ class Search:
 
         def compared(number: int, end: NamingStage, base: float) -> Refit:
             gain = end.fit.evidence - base + self._prior(stage, number, end.base.coordinates)
-            return Refit(gain, end.base, number, end.base.coordinates.entries[len(point) :])
+            return Refit(gain, end.base, number)
 
         alone = stage.judge.fit(state=stage.fit.state, rounds=2)
         without = refit(coordinates, point, alone.state).fit.evidence  # the base takes as many steps without
         for one in proposals:
             joined = self._joined(stage, one.number, one.share)
             moved = np.clip(point + one.step, coordinates.low, coordinates.high)
-            end = compared(one.number, refit(joined, self._begun(joined, (moved, point)), one.state), without)
+            end = compared(one.number, refit(joined, self._begun(joined, (moved, point))[0], one.state), without)
             place = stage.found[one.number].place
             best[place] = max(end, best.get(place, end), key=lambda one: one.log_odds)
         # where joints stick the way is long; and what lets a poor base move on has no merit in what that gains
@@ -465,20 +299,28 @@ class Search:
                 best[stage.found[one.number].place] = compared(one.number, end, without)
         return sorted(best.values(), key=lambda one: -one.log_odds), back.base
 
-    def _begun(self, joined: Coordinates, points: Sequence[np.ndarray]) -> np.ndarray:
+    def _begun(
+        self, joined: Coordinates, points: Sequence[np.ndarray], limb: int | None = None
+    ) -> tuple[np.ndarray, float]:
         """Where a refit begins: with the base at one of some points, and the effect at its linear size or any that is
-        plausible, whichever predicts a third of the windows best.
+        plausible, whichever predicts a third of the windows best, of one limb where it sits there; and how well.
 
         Where a large fault makes a joint stick, or the base has taken it for noise, nothing linear says its size.
         """
         size, shape = joined.entries[len(points[0])], joined.start[len(points[0]) + 1 :]
         sizes = [size.start, *(end * share for end in (size.low, size.high) for share in SIZES)]
         starts = np.array([np.concatenate([at, [value], shape]) for at in points for value in sizes])
-        costs = robust(self.thin.at(joined, starts, COARSE), self.thin.limbs).sum(0) + joined.penalties(starts)
-        self.thin.forget()
-        return starts[int(costs.argmin())]
+        costs = self._costs(joined, starts, limb)
+        return starts[int(costs.argmin())], float(costs.min())
 
-    def _around(self, stage: NamingStage, base: Baseline, named: tuple[Named, ...]) -> NamingStage:
+    def _costs(self, coordinates: Coordinates, points: np.ndarray, limb: int | None = None) -> np.ndarray:
+        """How badly points ``[point, coordinate]`` predict a third of the windows."""
+        limbs = self.thin.limbs if limb is None else [self.thin.limbs[limb]]
+        costs = robust(self.thin.at(coordinates, points, COARSE, limb), limbs).sum(0)
+        self.thin.forget()
+        return costs + coordinates.penalties(points)
+
+    def around(self, stage: NamingStage, base: Baseline, named: tuple[Named, ...]) -> NamingStage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
         base = settle(self.reduction, base.coordinates, base.point, self.settings, state=base.fit.state)
         odds, found = stage.judge.scores(stage.fit), self._candidates(base, named)

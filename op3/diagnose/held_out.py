@@ -15,7 +15,7 @@ from scipy import linalg
 from scipy.stats import norm, t
 
 from op3.diagnose.base import Baseline, base_numbers
-from op3.diagnose.judge import HEAVIEST, LIGHTEST, Judge, Rows, Variances
+from op3.diagnose.judge import Judge, Rows, Variances
 from op3.diagnose.reduction import Reduction
 
 FOLDS = 6
@@ -167,8 +167,7 @@ def log_density(
         square = (np.square(y - spread.T @ half) + np.square(spread).sum(0)).reshape(left.shape)
         distance = np.where(seen, square / whole, 0.0)
         for g in range(weight.shape[1]):
-            usual = (tails + counts[:, g] - 2) / (tails + distance[:, group == g].sum(1))
-            weight[:, g] = np.clip(usual, LIGHTEST, HEAVIEST)
+            weight[:, g] = (tails + counts[:, g] - 2) / (tails + distance[:, group == g].sum(1))
     precision, factor, half = solved()
     positive = precision[precision > 0]
     density = np.log(positive).sum() - 2 * np.log(np.diag(factor)).sum() - 2 * f.shape[1] * np.log(law)

@@ -26,9 +26,6 @@ from op3.diagnose.judge_settings import SETTINGS, Settings
 GRID = np.exp(np.linspace(np.log(0.02), np.log(30.0), 30))
 """Standard deviations of a joint's noise that are tried [units]."""
 
-LIGHTEST, HEAVIEST = 1e-4, 3.0
-"""Weights that a window may get."""
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -260,8 +257,7 @@ class Judge:
                 for g in range(len(self.counts)):
                     mine = self.group == g
                     distance = (square[:, mine] / whole[:, mine]).sum(1)
-                    weight = (self.tails + self.counts[g] - 2) / (self.tails + distance)
-                    state.weight[g, j] = np.clip(weight, LIGHTEST, HEAVIEST)
+                    state.weight[g, j] = (self.tails + self.counts[g] - 2) / (self.tails + distance)
             size, prior = len(law), 1 / s.law_spread**2
             found = 0.5 * np.log((law**2 + np.square(inverse).sum(0)).mean())
             state.law[j] = np.clip(np.exp((size * found + prior * np.log(s.law)) / (size + prior)), 0.01, 30.0)

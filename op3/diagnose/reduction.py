@@ -119,10 +119,18 @@ class Reduction:
         return Reduction(self.engine.thinned(windows), self.settings, self) if windows < self.windows else self
 
     def errors(
-        self, model: RobotModel, sets: Mapping[str, Tensor], count: int, stretch: int = 1, **offsets: Tensor
+        self,
+        model: RobotModel,
+        sets: Mapping[str, Tensor],
+        count: int,
+        stretch: int = 1,
+        limb: int | None = None,
+        **offsets: Tensor,
     ) -> list[np.ndarray]:
-        """Whitened errors of parameter sets, by limb ``[set, window, residual]``; channels not measured are zero."""
-        parts: list[list[np.ndarray]] = [[] for _ in self.limbs]
+        """Whitened errors of parameter sets, by limb, or of one of them, ``[set, window, residual]``; channels not
+        measured are zero."""
+        chosen = slice(None) if limb is None else slice(limb, limb + 1)
+        parts: list[list[np.ndarray]] = [[] for _ in self.limbs[chosen]]
         together = any(not p.per_joint and not effect.edits for effect in model.effects for p in effect.parameters)
         for begin in range(0, count, CHUNK):
             piece = slice(begin, min(begin + CHUNK, count))
@@ -130,10 +138,10 @@ class Reduction:
             apart = {name: value[piece] for name, value in offsets.items()}
             if together:  # an effect of the whole robot, such as a supply that sags with all currents
                 whole = self._whitened(self.engine, range(self.count), model, given, stretch, apart)
-                found = [whole[:, :, :, limb] for limb in self.limbs]
+                found = [whole[:, :, :, its] for its in self.limbs[chosen]]
             else:
-                both = zip(self._parts, self.limbs, strict=True)
-                found = [self._whitened(part, limb, model, given, stretch, apart) for part, limb in both]
+                both = zip(self._parts[chosen], self.limbs[chosen], strict=True)
+                found = [self._whitened(part, its, model, given, stretch, apart) for part, its in both]
             for part, error in zip(parts, found, strict=True):
                 part.append(error.reshape(len(error), self.windows, -1))
         return [np.concatenate(part) for part in parts]
@@ -147,9 +155,11 @@ class Reduction:
         error /= self.floor[at].astype(np.float32)
         return np.clip(error, -FARTHEST, FARTHEST, out=error)
 
-    def at(self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1) -> list[np.ndarray]:
+    def at(
+        self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1, limb: int | None = None
+    ) -> list[np.ndarray]:
         """The same at points ``[point, coordinate]``."""
-        return self.errors(coordinates.model, coordinates.values(points), len(points), stretch)
+        return self.errors(coordinates.model, coordinates.values(points), len(points), stretch, limb)
 
     def linearise(
         self,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from op3.diagnose.findings import NamingStage
+from op3.diagnose.naming import NamingStage
 from op3.diagnose.reduction import PIECES, Reduction
 from op3.diagnose.verdict import JointGap
 

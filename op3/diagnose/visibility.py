@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from op3.diagnose.findings import NamingStage
 from op3.diagnose.judge import evidence
+from op3.diagnose.naming import NamingStage
 from op3.servo.effect import parameter
 
 SIZES = np.geomspace(0.02, 20.0, 60)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from op3.diagnose import WindowResiduals
-from op3.diagnose.base import fit_base
 from op3.diagnose.coordinates import with_chain
 from op3.diagnose.reduction import Reduction
+from op3.diagnose.starts import fit_base
 from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
 from op3.sim import load_model

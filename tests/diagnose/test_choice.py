@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Baseline, End, apart, as_usual, base_numbers, damped, gap_of, search, settle, unfitted
+from op3.diagnose.base import Baseline, End, as_usual, damped, gap_of, settle, unfitted
 from op3.diagnose.coordinates import any_spread, base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.doubts import doubts, freed, unusual
 from op3.diagnose.findings import Search
@@ -18,6 +18,7 @@ from op3.diagnose.judge_settings import Settings
 from op3.diagnose.reduction import Linear, Reduction
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
+from op3.diagnose.starts import apart, search
 from op3.diagnose.verdict import Alternative, Finding, JointGap, Verdict
 from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
@@ -234,12 +235,13 @@ def test_a_delay_is_unusual_of_a_model_that_has_none(truth):
     base = unfitted(reduction, late)
     base = settle(reduction, base.coordinates, base.point)
     for given, told in (("paper", []), ("paper_without_latency", ["command_latency"])):
-        found = unusual(load_model(given), base, base.fit, base_numbers(base.coordinates, base.point))
+        found = unusual(load_model(given), base)
         far = [one for one in found if one.log_odds > 6]
         assert [base.coordinates.entries[one.number].parameter for one in far] == told
         for one in far:
             free, usual = freed(reduction, base, one.number, one.held)
             assert gap_of(reduction, usual, free) / 2 > 6
+            assert usual.point[one.number] < 0.006 < free.point[one.number]
 
 
 @pytest.mark.slow
@@ -263,20 +265,22 @@ def test_what_all_joints_share_is_told_though_the_base_takes_its_place():
     assert further.named[0].log_odds > 20
 
 
-def test_what_a_base_was_taken_back_from_is_proposed(logs, monkeypatch):
-    """No column shows it: the base's own friction of that joint, though held in its range, takes its place."""
-    search_ = Search(Reduction(WindowResiduals(logs, windows=4)))
-    monkeypatch.setattr(search_, "shared", lambda _: [])
-    monkeypatch.setattr(search_, "leaders", lambda *_: [])
-    monkeypatch.setattr(search_, "_name", lambda at, proposals: {at.found[p.number].place for p in proposals})
-    base = unfitted(search_.reduction, load_model("paper"))
-    entries = base.coordinates.entries
-    number = next(i for i, one in enumerate(entries) if one.parameter == "coulomb_friction" and one.joints == (3,))
+def test_in_a_bad_joint_effects_are_proposed_by_what_they_predict(truth, monkeypatch):
+    """Friction of a joint four times the others': held to what is usual the base misses it, no column shows it, and it
+    is the best of all effects in that joint at one of the sizes that are tried; none is proposed in sound joints."""
+    bad = truth.with_values({"coulomb_friction": Estimate(0.1, joints={"r_knee": 0.4})})
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    search_ = Search(Reduction(WindowResiduals(planned_suite(bad, runs), windows=24)))
+    base = unfitted(search_.reduction, truth.with_values({"coulomb_friction": 0.1}))
+    knee, entries = (LEG_JOINTS.index("r_knee"),), base.coordinates.entries
+    number = next(i for i, one in enumerate(entries) if one.parameter == "coulomb_friction" and one.joints == knee)
     outside = base.linear.point.copy()
     outside[number] = base.coordinates.high[number] + 2.0
-    for point, places in ((base.linear.point, set()), (outside, {("coulomb", (3,))})):
+    proposed = {}
+    for name, point in (("sound", base.linear.point), ("bad", outside)):
         at = dataclasses.replace(base, linear=dataclasses.replace(base.linear, point=point))
         stage: Any = SimpleNamespace(base=at, found=search_._candidates(at), fit=at.fit)
-        assert {stage.found[one.number].place for one in search_.taken_back(stage)} == places
-        stage.judge = SimpleNamespace(scores=lambda _: None)
-        assert search_.further(stage) == places
+        proposed[name] = [stage.found[one.number] for one in search_.in_bad_joints(stage)]
+    assert proposed["sound"] == []
+    assert {one.joints for one in proposed["bad"]} == {knee}
+    assert proposed["bad"][0].effect.name == "coulomb"
