@@ -257,7 +257,7 @@ def with_own_spread(
     back too, as the same base; `told` are the standard deviations of its numbers.
     """
     entries, point = list(coordinates.entries), point.copy()
-    for name, usual in (SPREAD | OWN).items():
+    for name, usual in {**SPREAD, **OWN}.items():
         mine = [i for i, entry in enumerate(entries) if entry.parameter == name]
         own = [i for i in mine if entries[i].of_servo]
         if not own:

@@ -12,6 +12,7 @@ On a stand limbs do not couple, so that one simulation carries a local change in
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -125,7 +126,7 @@ class Reduction:
         count: int,
         stretch: int = 1,
         limb: int | None = None,
-        **offsets: Tensor,
+        offsets: Mapping[str, Tensor] = MappingProxyType({}),
     ) -> list[np.ndarray]:
         """Whitened errors of parameter sets, by limb, or of one of them, ``[set, window, residual]``; channels not
         measured are zero."""
@@ -274,7 +275,7 @@ class Reduction:
                 position[1 + slot, j], velocity[1 + size + slot, j] = INITIAL
         values = coordinates.values(np.repeat(point[None], count, 0))
         offsets = {"position_offset": position, "velocity_offset": velocity}
-        error = self.errors(coordinates.model, values, count, COARSE, **offsets)
+        error = self.errors(coordinates.model, values, count, COARSE, offsets=offsets)
         known = coordinates.model.tensors(self.engine.joints) | values
         armature = known["armature"][0].numpy() if "armature" in known else np.zeros(1)
         armature, loop = np.broadcast_to(armature, self.count), "current_pd" not in coordinates.model.effect_names
