@@ -99,7 +99,10 @@ def unusual(given: RobotModel, base: Baseline) -> list[Unusual]:
 
     They are judged by the base alone, as candidates of many joints, each there a little, imitate them together.
     """
-    linear, curvature = base_numbers(base.coordinates, base.point).likelihoods(base.fit)
+    numbers, variance = base_numbers(base.coordinates, base.point), np.diag(base.fit.covariance)
+    prior = 1.0 / numbers.deviation**2
+    # of the rows alone, all else integrated out: exp(linear a - curvature a^2 / 2)
+    linear, curvature = base.fit.mean / variance - prior * numbers.mean, np.maximum(1.0 / variance - prior, 1e-12)
     known, found, point = given.parameters(), [], base.point
     for i, entry in enumerate(base.coordinates.entries):
         if entry.parameter not in CHAIN or entry.joints is not None:

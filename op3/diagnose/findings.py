@@ -19,7 +19,7 @@ from op3.diagnose.relevance import relevance
 from op3.diagnose.starts import robust, thin_windows
 
 MOST = 3
-"""Findings that are looked for, and places of which candidates are refitted."""
+"""Findings that are looked for, bad joints, and places of which candidates are refitted."""
 
 STARTS = 2
 """Forms and secants of an effect in one place that are refitted, at most."""
@@ -141,8 +141,11 @@ class Search:
         estimates: list[tuple[float, Proposal]] = []
         leading = ranked[: s.leaders]
         names = {stage.found[mine[0]].effect.name for _, mine in leading[:MOST]}
-        relatives = [(odd, mine) for odd, mine in ranked[s.leaders :] if stage.found[mine[0]].effect.related(names)]
-        for number in (number for _, mine in [*leading, *_one_of_each(stage, relatives)] for number in mine):
+        relatives: dict[str, list[int]] = {}
+        for _, mine in ranked[s.leaders :]:
+            if (effect := stage.found[mine[0]].effect).related(names):
+                relatives.setdefault(effect.name, mine[:1])
+        for number in (number for mine in [*(mine for _, mine in leading), *relatives.values()] for number in mine):
             with_it = judge.fit([number], state, rounds=rounds)
             share = float(np.clip(with_it.mean[-1], n.low[number], n.high[number]))
             truncated = float(log_mass(n.low[number], n.high[number], 0.0, n.slab[number]))
@@ -152,17 +155,18 @@ class Search:
             estimates.append((gain, Proposal(number, step, share, with_it.state)))
         estimates.sort(key=lambda one: -one[0])
         places = list(dict.fromkeys(stage.found[one.number].place for _, one in estimates))
-        first, behind = places[:MOST], {stage.found[mine[0]].place for _, mine in relatives}
+        first, behind = places[:MOST], {stage.found[mine[0]].place for mine in relatives.values()}
         kept = {*first, *[place for place in places[MOST:] if place in behind][:MOST]}
         return [one for _, one in estimates if stage.found[one.number].place in kept]
 
     def in_bad_joints(self, stage: NamingStage) -> list[Proposal]:
-        """Candidates in joints of which the base was taken back, one of each place, the best first, at the size that
-        predicts a third of the windows best: where a fault makes a joint stick nothing linear says what it is, and the
-        base has a little of what it was taken back from, which hides that."""
+        """Candidates in the joints of which the base was taken back farthest, one of each place, the best first, at the
+        size that predicts a third of the windows best: where a fault makes a joint stick nothing linear says what it
+        is, and the base has a little of what it was taken back from, which hides that."""
         base, costs = stage.base, dict[Place, tuple[float, Proposal]]()
-        bad = {base.coordinates.entries[i].joints for i in np.flatnonzero(base.taken_back)}
-        limbs = {joints: self.thin.limb_of[joints[0]] for joints in bad if joints}
+        back = np.abs(base.linear.point - base.point) / base.coordinates.deviation
+        bad = [base.coordinates.entries[i].joints for i in np.argsort(-back) if base.taken_back[i]]
+        limbs = {joints: self.thin.limb_of[joints[0]] for joints in list(dict.fromkeys(bad))[:MOST] if joints}
         without = {at: self._costs(base.coordinates, base.point[None], limb)[0] for at, limb in limbs.items()}
         for number, candidate in enumerate(stage.found):
             if candidate.joints not in limbs:
@@ -358,14 +362,6 @@ class Search:
         """The stage with gains as they are beside all that is named."""
         named = tuple(replace(one, gain=gain) for one, gain in zip(stage.named, gains, strict=True))
         return replace(stage, named=named)
-
-
-def _one_of_each(stage: NamingStage, ranked: Sequence[tuple[float, list[int]]]) -> list[tuple[float, list[int]]]:
-    """The best place of each effect."""
-    best: dict[str, tuple[float, list[int]]] = {}
-    for odds, mine in ranked:
-        best.setdefault(stage.found[mine[0]].effect.name, (odds, mine[:1]))
-    return list(best.values())
 
 
 def _alike(one: HeldOutScore, other: HeldOutScore, without: HeldOutScore) -> bool:

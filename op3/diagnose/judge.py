@@ -78,13 +78,6 @@ class Numbers:
     least: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
     most: np.ndarray = field(default_factory=lambda: np.array(np.inf))
 
-    def likelihoods(self, fit: "Posterior") -> tuple[np.ndarray, np.ndarray]:
-        """What the rows alone say of each number, all others integrated out: ``exp(linear a - curvature a^2 / 2)``."""
-        size, prior = len(self.mean), 1.0 / self.deviation**2
-        variance = np.diag(fit.covariance)[:size]
-        curvature = np.maximum(1.0 / variance - prior, 1e-12)
-        return fit.mean[:size] / variance - prior * self.mean, curvature
-
 
 @dataclass
 class Variances:

@@ -80,12 +80,8 @@ def fit_base(
             yield settle(thin, coordinates, coordinates.start, settings, ELSEWHERE)
 
     first, _ = _ranked(thin, ends(), settings)
-    # what sticks has a basin for every form of its law: each begins where this one is, and with friction as at first
     forms = next(group for group in groups if _gear(group[0]) == _gear(first.coordinates.model))
-    same = [(replace(first.coordinates, model=form), first.point) for form in forms]
-    afresh = [_afresh(first, form) for form in forms]
-    begins = [*same, *afresh, *_timings(first, reduction.engine.period), *_near_rest(first)]
-    anew = (settle(thin, *begin, settings, ELSEWHERE) for begin in begins)
+    anew = (settle(thin, *at, settings, ELSEWHERE) for at in _elsewhere(first, forms, reduction.engine.period))
     _, best = _ranked(thin, chain([first], anew), settings)
     progress(0.7)
     finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
@@ -114,39 +110,35 @@ def _ranked(reduction: Reduction, bases: Iterator[Baseline], settings: Settings)
     return best, sorted(ends, key=lambda end: -end.gain)
 
 
-def _afresh(base: Baseline, form: RobotModel) -> tuple[Coordinates, np.ndarray]:
-    """A base with another form of its laws, and the numbers of friction where they started."""
-    friction = {p.name for effect in form.effects if effect.stage == Stage.FRICTION for p in effect.parameters}
-    mine = np.array([entry.parameter in friction for entry in base.coordinates.entries])
-    return replace(base.coordinates, model=form), np.where(mine, base.coordinates.start, base.point)
+def _elsewhere(base: Baseline, forms: Sequence[RobotModel], period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """Where else a base may begin, as each has a basin of its own.
 
-
-def _near_rest(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """A base whose gear loses more near rest, in every form of its law: where it has ended at nothing more, the end of
-    what there may be, another form may have taken the place of that loss."""
-    near = np.array([entry.parameter == "near_rest_loss" for entry in base.coordinates.entries])
-    for form in (base.coordinates.model, *other_forms(base.coordinates.model, lambda effect: effect.stage in GEAR)):
-        yield replace(base.coordinates, model=form), np.where(near, CHAIN["near_rest_loss"].spread, base.point)
-
-
-def _timings(base: Baseline, period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """A base with commands before the next reading where they come after it, and the other way round, whose currents
-    lag the more or the less; and with commands a whole reading earlier or later.
-
-    A reading shows the first of a command's current, or nothing of it yet: each has a basin.
+    In every form of friction's laws, from where the base is and with friction as at first; with a gear that loses more
+    near rest, in every form of its law, as where it has ended at nothing more another form may have taken the place of
+    that loss; and with commands before the next reading where they come after it, and the other way round, whose
+    currents lag the more or the less, or a whole reading earlier or later: a reading shows the first of a command's
+    current, or nothing of it yet.
     """
-    coordinates = base.coordinates
-    at = {entry.parameter: i for i, entry in enumerate(coordinates.entries) if entry.joints is None}
+    own, point, model = base.coordinates, base.point, base.coordinates.model
+    names = np.array([entry.parameter for entry in own.entries])
+    friction = [p.name for effect in model.effects if effect.stage == Stage.FRICTION for p in effect.parameters]
+    for form in forms:
+        yield replace(own, model=form), point
+        yield replace(own, model=form), np.where(np.isin(names, friction), own.start, point)
+    for form in (model, *other_forms(model, lambda effect: effect.stage in GEAR)):
+        near = np.where(names == "near_rest_loss", CHAIN["near_rest_loss"].spread, point)
+        yield replace(own, model=form), near
+    at = {entry.parameter: i for i, entry in enumerate(own.entries) if entry.joints is None}
     late, lag = at.get("command_latency"), at.get("current_time_constant")
     if late is None or lag is None:
         return
     margin = CHAIN["command_latency"].spread
-    across = period - base.point[late] + (-margin if base.point[late] > period else margin)
+    across = period - point[late] + (-margin if point[late] > period else margin)
     for later, less in ((across, across), (period, 0.0), (-period, 0.0)):
-        point = base.point.copy()
-        point[[late, lag]] += later, -less
-        if coordinates.low[late] <= point[late] <= coordinates.high[late]:
-            yield coordinates, np.clip(point, coordinates.low, coordinates.high)
+        moved = point.copy()
+        moved[[late, lag]] += later, -less
+        if own.low[late] <= moved[late] <= own.high[late]:
+            yield own, np.clip(moved, own.low, own.high)
 
 
 def search(
