@@ -7,13 +7,11 @@ import numpy as np
 
 from op3.diagnose.base import base_numbers
 from op3.diagnose.diagnosis import Diagnosis
+from op3.diagnose.findings import ALIKE
 from op3.diagnose.judge import Judge
 from op3.diagnose.naming import NamingStage
 from op3.diagnose.verdict import separating
 from op3.diagnose.visibility import size_of, smallest_sizes
-
-ALIKE = 0.7
-"""Cosine beyond which two effects are alike to these logs."""
 
 VISIBLE = 0.3
 """Share of an effect that the base must leave for it to be seen."""

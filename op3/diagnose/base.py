@@ -4,12 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from op3.diagnose.coordinates import (
-    Coordinates,
-    base_coordinates,
-    usual_spread,
-    with_chain,
-)
+from op3.diagnose.coordinates import Coordinates, base_coordinates, usual_spread, with_chain
 from op3.diagnose.judge import Judge, Numbers, Posterior, Variances
 from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Linear, Reduction
@@ -19,13 +14,14 @@ from op3.servo.conditions import split_name
 STEPS, ELSEWHERE = 12, 4
 """Gauss-Newton steps at most of the best start, and of every start before they are compared."""
 
-
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
 
 HELD_AT_END = 1e-3
 """Share of a number's standard deviation that is left to it at the end of its range."""
 
+QUANTILE = 1.645
+"""Of a 90 % interval."""
 
 SETTLED = 8.0
 """Gain in minus two log posterior below which a base no longer moves."""
@@ -207,7 +203,7 @@ def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray 
     spread: dict[str, float] = {}
     for i, entry in enumerate(coordinates.entries):
         if deviation is not None and entry.kind == "value" and entry.joints is None:
-            spread[entry.parameter] = 1.645 * float(deviation[i])
+            spread[entry.parameter] = QUANTILE * float(deviation[i])
     for name, value in coordinates.values(point[None]).items():
         row, half = value[0].numpy(), spread.get(name)
         shared = float(np.median(row))

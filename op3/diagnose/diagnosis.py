@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.base import Baseline, at_point, unfitted
+from op3.diagnose.base import QUANTILE, Baseline, at_point, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.doubts import doubts, freed, unidentifiable, unusual
@@ -45,9 +45,6 @@ FEWEST, PER_RUN = 72, 5
 
 RANKED = 15
 """Candidates that a verdict lists."""
-
-QUANTILE = 1.645
-"""Of a 90 % interval."""
 
 STAGES = {"windows": 0.05, "base": 0.4, "candidates": 0.45, "show": 0.1}
 """Usual shares of the time."""

@@ -28,7 +28,7 @@ RELINEARISED = 60
 """Candidates whose columns are made anew around a named effect; those of the others hardly matter."""
 
 ALIKE = 0.7
-"""Correlation over runs and joints from which on two gains are gains on the same."""
+"""Correlation over runs and joints from which on two gains are gains on the same, and of rows two effects alike."""
 
 SIZES = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 """Shares of the largest plausible size, and of the least, from which a refit may begin."""

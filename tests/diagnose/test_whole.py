@@ -27,13 +27,8 @@ def logs_of(model: RobotModel) -> list[Rollout]:
     return result
 
 
-GIVEN_UP = pytest.mark.xfail(
-    strict=True, reason="the base ends with a false zero of the knee's current sensor and gives the joint up as noise"
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("windows", [56, pytest.param(40, marks=GIVEN_UP)])
+@pytest.mark.parametrize("windows", [56, 40])
 def test_a_strong_effect_is_found_in_its_joint_and_a_sound_leg_is_silent(windows):
     """A spring of 0.25 N m/rad at the knee: one finding, its size to a fifth, in the model; without it none."""
     sound = load_model("paper").with_effect(CableSpring(), {"cable_stiffness": 0.0, "cable_rest_angle": 0.0})
