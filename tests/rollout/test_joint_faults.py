@@ -39,22 +39,25 @@ def sines(time: np.ndarray, joints: int = 4) -> np.ndarray:
 TARGET, POSITION = sines(TIME), 0.97 * sines(TIME - 0.04) + 0.01
 
 
-def let_go(position: np.ndarray, joint: int, first: int, last: int, falls: float) -> np.ndarray:
-    """One joint stands or falls for a while, and comes back."""
+def let_go(position: np.ndarray, joint: int, first: int, last: int, falls: float, swings: float = 0.0) -> np.ndarray:
+    """One joint stands, falls or swings [rad/s] for a while, and comes back."""
     position = position.copy()
     off = np.arange(last - first) / 100
-    limp = position[first, joint] - falls * (1 - np.exp(-3 * off))
+    limp = position[first, joint] - falls * (1 - np.exp(-(1 if swings else 3) * off) * np.cos(swings * off))
     back = np.linspace(limp[-1], position[last + 15, joint], 15)
     position[first : last + 15, joint] = np.concatenate([limp, back])
     return position
 
 
 @pytest.mark.parametrize("joint", [0, 2])
-@pytest.mark.parametrize("falls", [0.0, 0.4])
+@pytest.mark.parametrize(
+    ("falls", "swings", "size"), [(0, 0, 1), (0.4, 0, 1), (-0.3, 0, 1), (0.3, 8, 1), (0.0, 0, 0.4)]
+)
 @pytest.mark.parametrize(("first", "last"), [(400, 460), (500, 640), (300, 370)])
-def test_a_joint_that_lets_go_for_a_while_is_told(joint, falls, first, last):
-    """By its own motion at other times, and because the others go on."""
-    findings = examine(log(TARGET, let_go(POSITION, joint, first, last, falls)))
+def test_a_joint_that_lets_go_for_a_while_is_told(joint, falls, swings, size, first, last):
+    """By its own motion at other times, and because the others go on: it stands, falls or swings, however little."""
+    share = np.where(np.arange(4) == joint, size, 1.0)
+    findings = examine(log(share * TARGET, let_go(share * POSITION, joint, first, last, falls, swings)))
     assert {one.column for one in findings} == {f"joint_{joint}.position"}
     (found,) = (one for one in findings if one.check == "lets go")
     assert "its torque was off, or it was blocked" in found.problem

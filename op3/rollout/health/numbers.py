@@ -129,6 +129,9 @@ def spikes(view: View) -> Iterator[LogFinding]:
             size *= np.abs(column[rows + 1 :] - column[: -rows - 1]) < 0.5 * size  # it comes back
             if key == VELOCITY:  # a knock, which the position knows of
                 size *= np.abs(np.diff(view.position[:-1, index]) / np.diff(view.time[:-1])) < 0.5 * size
+            elif key == FORCE and (rate := view.get(RATE)) is not None:  # or the gyroscope
+                turned = np.linalg.norm(rate[2:] - rate[:-2], axis=1)
+                size *= turned <= np.quantile(turned, 0.98)
             row = int(size.argmax()) + 1
             often = key == COMMAND and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
             if size[row - 1] > max(12 * usual, 0 if of_angles else 3 * level, least) and not often:

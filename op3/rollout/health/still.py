@@ -27,9 +27,6 @@ from op3.rollout.schema import CHANNELS
 _SHAKEN = 0.1
 """The accelerations of a trunk that is held spread by no more [m/s2]; by 0.08 in 179 logs, and 0.44 on the feet."""
 
-_STANDS, _HEEDED = 1.5, 0.3
-"""A servo that is told to move far does so within the first, but for what it was told in the last of it [s]."""
-
 _SETTLES = 0.5
 """A servo has reached a target that stands [s]."""
 
@@ -144,7 +141,6 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[L
     dead = length >= len(position) - 2
     moves = told > 0.4 or _follows_elsewhere(view, joint, rows, told, dead)
     if length * view.interval <= 0.5 or not (moves or said > 0.5):
-        yield from _hardly_moves(view, joint)
         return
     problem = f"position stands at {position[first] + 0.0:.4g} rad while "
     problem += f"its command moves by {told:.3g} rad" if moves else f"its velocity says {said:.3g} rad in 0.5 s"
@@ -152,24 +148,6 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Iterator[L
     remedy = "look whether the joint is blocked or its sensor dead"
     severity, aside = ERROR if all_dead else WARNING, dead and not all_dead
     yield view.found(severity, (POSITION, joint), problem, remedy, first, last, aside=aside)
-
-
-def _hardly_moves(view: View, joint: int) -> Iterator[LogFinding]:
-    """A position that stays within some steps of its sensor for a while, in which its command travels far."""
-    rows, heed = (round(seconds / view.interval) for seconds in (_STANDS, _HEEDED))
-    if len(view.time) <= rows or not view.driven[:, joint].all():
-        return
-    parts = np.arange(0, len(view.time) - rows, max(1, rows // 4))
-    angle, told = (
-        np.ptp(np.stack([table[first : first + size, joint] for first in parts]), axis=1)
-        for table, size in ((view.position, rows), (view.command, max(1, rows - heed)))
-    )
-    within = max(0.008, 4 * float(view.steps(POSITION)[joint]))
-    for part in np.flatnonzero((angle < within) & (told > 0.4))[:1]:
-        first = int(parts[part])
-        problem = f"position moves by {angle[part]:.2g} rad in {_STANDS:g} s, and its command by {told[part]:.3g} rad"
-        remedy = "look whether the joint is blocked, or its torque was off there"
-        yield view.found(WARNING, (POSITION, joint), problem, remedy, first, first + rows)
 
 
 def _follows_elsewhere(view: View, joint: int, stands: slice, told: float, dead: bool) -> bool:
