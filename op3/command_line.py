@@ -26,7 +26,7 @@ from op3.apps.command_help import (
     overview,
     usage,
 )
-from op3.common.private import CLAIMED, hide, scrub, scrub_folder
+from op3.common.private import CLAIMED, hide, masked, scrub_folder
 from op3.common.settings import nearest
 
 
@@ -124,7 +124,7 @@ def _launch(app: str) -> None:
         file = config_file(app)
         hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app))()
     except (HydraException, OmegaConfBaseException, OSError) as error:
-        end(scrub(explained(error, app)))
+        end(masked(explained(error, app)))
     except RuntimeError as error:
         if "srun" not in str(error):  # what submitit looks for
             raise
@@ -132,7 +132,7 @@ def _launch(app: str) -> None:
     except ValueError as error:
         if HydraConfig.initialized():  # it is ours, and a mistake
             raise
-        end(scrub(explained(error, app)))
+        end(masked(explained(error, app)))
     finally:
         place = folder or asked
         if kind == "sweep" and place is not None:

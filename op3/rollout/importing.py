@@ -282,8 +282,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
 
 def _is_held(name: str) -> bool:
     """Whether a column holds until it is stated again."""
-    known = place(name)
-    return known is not None and known[0].hold
+    return bool((known := place(name)) and known[0].hold)
 
 
 def _split(time: np.ndarray) -> list[slice]:

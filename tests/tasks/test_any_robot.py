@@ -88,9 +88,12 @@ def test_what_needs_feet_says_so(tmp_path):
         ModelRobot(str(path), mount="floor").play(multisine(duration=1.0, robot=str(path)), 6.0, 0.1)
 
 
-@pytest.mark.parametrize("played_by", ["model", "stand_in"])
-def test_servos_of_other_supplies_and_gains_are_played_and_predicted(played_by, tmp_path):
-    """Each gets its own voltage, and is predicted with its own gain: a log without both columns says as much."""
+@pytest.mark.parametrize(("played_by", "most"), [("model", 2.0), ("stand_in", 8.0)])
+def test_servos_of_other_supplies_and_gains_are_played_and_predicted(played_by, most, tmp_path):
+    """Each gets its own voltage, and is predicted with its own gain: a log without both columns says as much.
+
+    Its own model errs by the sensors' noise (1.3 mrad), and one of unidentified servos beside the stand-in by 6 or 7.
+    """
     path = write_robot(tmp_path, "four", {"{bus_id: 4}": "{bus_id: 4, servo: xl330-m288}"})
     motion = multisine(duration=1.5, robot=str(path))
     player = (
@@ -102,7 +105,7 @@ def test_servos_of_other_supplies_and_gains_are_played_and_predicted(played_by, 
     arrays = {key: log.array(key) for key in log.channels}
     del arrays["joint", "voltage"], arrays["command", "firmware_gain"]
     bare = Rollout.from_arrays(arrays, log.metadata)
-    assert max(predict_logs(model, [one]).error_mrad.value for one in (log, bare)) < 8.0
+    assert max(predict_logs(model, [one]).error_mrad.value for one in (log, bare)) < most
 
 
 def test_makes_may_differ_from_joint_to_joint(tmp_path):

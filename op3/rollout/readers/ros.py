@@ -115,9 +115,8 @@ class Ros:
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a bag of ROS 2, whose `metadata.yaml` is its own."""
     about = folder / "metadata.yaml"
-    if any(folder.glob("*.[dm][bc][3a]*")):
-        return True
-    return about.is_file() and b"rosbag2_bagfile_information" in about.read_bytes()[:200]
+    named = about.is_file() and b"rosbag2_bagfile_information" in about.read_bytes()[:200]
+    return named or any(folder.glob("*.[dm][bc][3a]*"))
 
 
 def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> None:
@@ -130,14 +129,16 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
         steps = [np.abs(values[n:] - values[:-n]).max(1)[: len(values) - 2] for n in (1, 2)]
         near = max(_LEAPS, 10 * float(np.median(np.minimum(*steps))))
         other, last = zero, values[0]
-        if _visits(zero) < _PUBLISHED:
+        if (np.diff(zero.astype(int)) == 1).sum() < _PUBLISHED:
             other = np.zeros(len(values), bool)
             for row, value in enumerate(values):
                 other[row] = np.abs(value - last).max() > near
                 last = last if other[row] else value
             other = ~other if 2 * other.sum() > len(values) else other
         own, foreign = values[~other], values[other]
-        if _visits(np.asarray(other)) < _PUBLISHED or (np.abs(np.diff(own, axis=0)).max(1) > 2 * near).any():
+        if (np.diff(np.asarray(other, int)) == 1).sum() < _PUBLISHED or (
+            np.abs(np.diff(own, axis=0)).max(1) > 2 * near
+        ).any():
             continue
         if not states and not _stands_singly(np.asarray(other), table[:, 1]):
             continue  # levels that are told in turn
@@ -166,11 +167,6 @@ def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
     begin = begin[: len(end)]
     singly = (end - begin <= 2) & (time[end + 1] - time[begin] < _BETWEEN)
     return bool(len(end)) and float(singly.mean()) > 0.8
-
-
-def _visits(rows: np.ndarray) -> int:
-    """How often rows of a kind begin behind others."""
-    return int((np.diff(rows.astype(int)) == 1).sum())
 
 
 def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
@@ -253,18 +249,21 @@ def _samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, fl
     commanded = any(word in topic.lower() for word in _COMMAND_WORDS)
     for part in ("goal", "trajectory"):
         message = getattr(message, part, message)
+    joints = [
+        name.strip("/").replace("/", "_") for name in getattr(message, "joint_names", getattr(message, "name", ()))
+    ]
     if kind == "Imu":
         yield _imu(message), None
     elif kind == "JointState":
         for name, ours in [("position", "target")] if commanded else _KINDS.items():
             numbers = getattr(message, name)
-            if len(numbers) == len(message.name) > 0:
-                yield {f"{_joint(joint)}.{ours}": numbers[i] for i, joint in enumerate(message.name)}, None
+            if len(numbers) == len(joints) > 0:
+                yield {f"{joint}.{ours}": number for joint, number in zip(joints, numbers, strict=True)}, None
     elif kind == "Float64MultiArray":
         if commanded and len(message.data):
             yield {f"#{number}": value for number, value in enumerate(message.data)}, None
     elif hasattr(message, "joint_names"):
-        columns = [f"{_joint(name)}.target" for name in message.joint_names]
+        columns = [f"{joint}.target" for joint in joints]
         wanted = (p for name in ("reference", "desired") if (p := getattr(message, name, None)) is not None)
         points = list(getattr(message, "points", []))
         path = [point for point in points or list(wanted)[:1] if len(point.positions) == len(columns) > 0]
@@ -272,11 +271,6 @@ def _samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, fl
             goals = np.array([point.positions for point in path], dtype=float)
             times = np.array([_seconds(point.time_from_start) if points else 0.0 for point in path])
             yield dict(zip(columns, map(float, goals[-1]), strict=True)), (times, goals) if points else None
-
-
-def _joint(name: str) -> str:
-    """A joint's name without its namespaces' strokes."""
-    return name.strip("/").replace("/", "_")
 
 
 def _seconds(stamp: Any) -> float:
@@ -294,8 +288,7 @@ def _imu(message: Any) -> dict[str, float]:
 
 def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[Stream]:
     """Streams on one clock, with trajectories as they are followed and arrays in the order of the joints."""
-    streams: list[Stream] = []
-    clocks, taken = _clocks(topics), dict[str, Topic]()
+    streams, clocks, taken = list[Stream](), _clocks(topics), dict[str, Topic]()
     order = sorted(zip(topics, clocks, strict=True), key=lambda item: (item[0].is_array, -len(item[0].columns)))
     for topic, time in sorted(order, key=lambda item: not item[0].ends("position")):
         values = np.array(topic.rows)[:, 2:]
@@ -374,38 +367,34 @@ def _order(
         LogError: where that is unclear.
     """
     states = {n: (s.time, values) for s in streams for n, values in s.columns.items() if n.endswith(".position")}
-    names = [name for name in states if name.replace(".position", ".target") not in taken]
-    if len(names) < values.shape[1]:
-        if taken and len(states) >= values.shape[1]:
+    names, width = [name for name in states if name.replace(".position", ".target") not in taken], values.shape[1]
+    if len(names) < width:
+        if taken and len(states) >= width:
             raise _differ(topic, next(iter(taken.values())), path, next(iter(taken)))
-        problem = f"{topic.name} sends arrays of {values.shape[1]} numbers, and the states have {len(names)} joints"
+        problem = f"{topic.name} sends arrays of {width} numbers, and the states have {len(names)} joints"
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
     clock = states[names[0]][0]
-    row = np.searchsorted(time, clock, side="right") - 1
-    angle = np.stack([np.interp(clock, *states[name]) for name in names], axis=1)
-    angle, told = angle[row >= 0], values[row[row >= 0]]
+    clock = clock[clock >= time[0]]
+    angle = np.array([np.interp(clock, *states[name]) for name in names]).T
+    told = values[np.searchsorted(time, clock, side="right") - 1]
     if len(angle) < 20:
-        return tuple(name.replace(".position", ".target") for name in names[: values.shape[1]])
+        return tuple(name.replace(".position", ".target") for name in names[:width])
     apart = np.median(np.abs(told[:, :, None] - angle[:, None, :]), axis=0)
     whose = linear_sum_assignment(apart)[1]
-    number = np.arange(values.shape[1])
-    asked = np.ptp(told, axis=0)
-    least, usual = apart[number, whose], apart[number, number]
-    in_order = values.shape[1] == len(states) and usual.sum() < 1.5 * least.sum() + 0.01 * len(number)
+    number, asked = np.arange(width), np.ptp(told, axis=0)
+    in_order = width == len(states) and apart.trace() < 1.5 * apart[number, whose].sum() + 0.01 * width
     chosen = number if in_order else whose
     others = np.where(chosen[:, None] == np.arange(len(names)), np.inf, apart).min(1) if len(names) > 1 else asked + 1
     off = apart[number, chosen]
     unclear = (asked > 0.1) & ((off > 0.5 * asked) | ((off > 0.5 * others) & (not in_order)))
     if unclear.any():
-        problem = (
-            f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1} follows no joint of "
-        )
-        problem += "the states clearly"
+        number_of = f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1}"
+        problem = f"{number_of} follows no joint of the states clearly"
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
     if not in_order and (chosen != number).any():
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
-        problem = f"{topic.name} sends numbers without names, which are taken for those of {order}, by which they "
-        problem += "follow, and not in the order of the states"
-        remedy = "correct the names under `columns:` if that is wrong"
+        whose = f"are taken for those of {order}, by which they follow, and not in the order of the states"
+        problem, remedy = f"{topic.name} sends numbers without names, which {whose}", "correct the names under "
+        remedy += "`columns:` if that is wrong"
         doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)
