@@ -111,10 +111,15 @@ def earlier(cfg: DictConfig) -> PolicyBundle | None:
 
 
 def chosen_task(cfg: DictConfig) -> Task:
-    """The task, of the robot that is asked for."""
+    """The task, of the robot and with the gain that are asked for."""
     if cfg.robot is not None:
         cfg.task.robot = cfg.robot
-    return instantiate(cfg.task)
+    task = instantiate(cfg.task)
+    return (
+        task
+        if cfg.fixed_gain is None
+        else task.changed({"actions.p_gain": dict.fromkeys(("low", "high"), cfg.fixed_gain)})
+    )
 
 
 def actions(cfg: DictConfig, task: Task) -> ActionMap:

@@ -70,7 +70,7 @@ def gains(log: Rollout, task: str | Task) -> dict[str, float]:
             values = p_gain[carries[:, side] == stance][:, columns]
             sums[stance] += float(values.sum())
             counts[stance] += values.size
-    result = {"gain": (sums[True] + sums[False]) / (counts[True] + counts[False])}
+    result = {"gain": float(p_gain[:, [log.joints.index(joint) for joint in robot.controlled]].mean())}
     if find_task(task).cycle is not None and min(counts.values()):
         result |= {"gain_stance": sums[True] / counts[True], "gain_swing": sums[False] / counts[False]}
     return result

@@ -33,6 +33,11 @@ TINY = [
     "wandb=disabled",
 ]
 
+ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="base"><geom size="0.03"/>
+<body name="upper" pos="0 0 0.05"><joint name="shoulder" axis="0 1 0"/><geom size="0.03" pos="0 0 0.05" mass="0.1"/>
+<body name="lower" pos="0 0 0.12"><joint name="elbow" axis="0 1 0"/><geom size="0.03" pos="0 0 0.05" mass="0.1"/>
+<site name="tip" pos="0 0 0.12"/></body></body></body></worldbody></mujoco>"""
+
 
 def in_process(name: str, overrides: list[str], folder: Path) -> CommandResult:
     """A command's run in this process, which spares the seconds that a new one takes to import."""
@@ -145,6 +150,22 @@ def test_a_fixed_gain_holds_for_a_policy_that_begins_with_another():
     start = PolicyBundle.load(ROOT / "assets/policies/balance").manifest.action_map
     assert made.gain_low == made.gain_high == 2.0
     assert made.position_low == start.position_low
+
+
+def test_an_arm_of_current_driven_servos_reaches_with_a_fixed_gain(tmp_path):
+    """A task without gains gets them, all alike; the policy is saved and judged like any other."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    robot = tmp_path / "arm.yaml"
+    head = "format: op3-robot/1\nname: own\nmodel: arm.xml\nbase: base\nfixed: true\ntip: tip\nservo: xm430-w350\n"
+    robot.write_text(
+        head + "joints:\n  shoulder: {limits: [-1.4, 1.4], home: 0.5}\n  elbow: {limits: [-1.4, 1.4], home: 0.5}\n"
+    )
+    trained = in_process("train", ["task=reach", f"robot={robot}", "fixed_gain=1.5", *TINY], tmp_path / "train")
+    policy = tmp_path / "train" / "policy"
+    assert trained.folder == policy.parent
+    overrides = [f"policy={policy}", "task=reach", f"robot={robot}", "episodes=1", "video=false", "wandb=disabled"]
+    judged = in_process("evaluate", overrides, tmp_path / "evaluate")
+    assert judged.numbers["evaluation.gain"] == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("task", ["balance", "walk", "walk_terrain", "walk_command"])
