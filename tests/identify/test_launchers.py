@@ -35,8 +35,8 @@ def test_a_launcher_gives_the_trials_of_one_process(launcher, tmp_path):
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 0, output
     run(tmp_path, *arguments, "hydra.run.dir=single")
-    study, folder = load(tmp_path / "out" / "0", "op3"), tmp_path / "out" / "0"
-    assert points(study) == points(load(tmp_path / "single", "op3"))
+    study, folder = load(tmp_path / "out" / "0"), tmp_path / "out" / "0"
+    assert points(study) == points(load(tmp_path / "single"))
     assert len({trial.user_attrs["pid"] for trial in study.trials}) == 2
     assert (folder / "report.txt").read_text() == "study 8\n"
     jobs = {entry.name for entry in (folder / "populations").iterdir() if entry.name.isdigit()}

@@ -193,7 +193,7 @@ def test_two_workers_share_a_study(tmp_path):
     storage = tmp_path / "study.journal"
     workers = [start_worker(storage, 120, 0.05, number) for number in range(2)]
     assert [worker.wait() for worker in workers] == [0, 0]
-    trials = load(storage, "op3").trials
+    trials = load(storage).trials
     assert 120 <= len(trials) <= 136  # either may have begun two populations that the other did not know of
     assert len({trial.params["x"] for trial in trials}) == len(trials)
     assert sum(trial.user_attrs.get("nominal", False) for trial in trials) == 1
@@ -210,7 +210,7 @@ def test_two_workers_of_one_number_are_told(tmp_path):
 
     with pytest.raises(StudyError, match=r"hydra\.sweeper\.worker=1"):
         quick_study(meanwhile, storage=path)
-    assert points(load(path, "op3")) == points(quick_study(n_trials=4))
+    assert points(load(path)) == points(quick_study(n_trials=4))
 
 
 @pytest.mark.parametrize(

@@ -64,8 +64,8 @@ def test_the_same_trials_with_and_without_multirun(sampler, tmp_path):
     run(tmp_path, *arguments, "hydra.run.dir=single")
     run(tmp_path, "-m", *arguments, "hydra.sweep.dir=multi")
     single, multi = tmp_path / "single", tmp_path / "multi" / "0"
-    assert points(load(multi, "op3")) == points(load(single, "op3"))
-    assert len(points(load(single, "op3"))) == 20
+    assert points(load(multi)) == points(load(single))
+    assert len(points(load(single))) == 20
     assert results(multi) == results(single) == results(tmp_path / "multi")
     assert (multi / "report.txt").read_text() == (single / "report.txt").read_text() == "study 20\n"
 
@@ -75,9 +75,9 @@ def test_starts_come_from_the_experiment_and_are_kept(tmp_path):
     run(tmp_path, "groups=flat", "hydra.sweeper.starts=3", "hydra.run.dir=single")
     run(tmp_path, "-m", "groups=flat", "hydra.sweeper.starts=3", "hydra.sweep.dir=multi")
     single, multi = tmp_path / "single", tmp_path / "multi" / "0"
-    assert points(load(multi, "op3")) == points(load(single, "op3"))
+    assert points(load(multi)) == points(load(single))
     kept = json.loads((single / "starts.json").read_text())
-    assert [trial.params for trial in load(single, "op3").trials[1:4]] == kept
+    assert [trial.params for trial in load(single).trials[1:4]] == kept
     assert [start["bowl.x"] for start in kept] == [0.5, 0.51, 0.52]
 
 
@@ -92,7 +92,7 @@ def test_comma_sweeps_are_a_grid_of_studies(tmp_path):
         folder = tmp_path / "out" / str(number)
         assert study["folder"] == folder.name
         assert len(study["best_params"]) == keys
-        assert study["best_value"] == load(folder, "op3").best_value
+        assert study["best_value"] == load(folder).best_value
         assert study["best_value"] <= study["nominal_value"]
         assert (folder / "report.txt").exists()
     assert studies[0]["best_params"] != studies[2]["best_params"]
@@ -124,11 +124,11 @@ def test_a_killed_sweep_goes_on_where_it_was(mode, tmp_path):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    before = points(load(journal.parent, "op3"))
+    before = points(load(journal.parent))
     assert 16 < len(before) < 400
     total = len(before) + 12
     run(tmp_path, *mode, f"hydra.sweeper.n_trials={total}")
-    after = points(load(journal.parent, "op3"))
+    after = points(load(journal.parent))
     assert after[: len(before)] == before
     assert len(after) == total
     assert len({params["bowl.x"] for params, _ in after}) == total

@@ -102,7 +102,7 @@ def test_broken_weights_are_refused(bundle, tmp_path, spoil, message):
         ("clip: 10.0", "clip: .nan", "clip must be a finite number"),
         ("policy_rate: 31.25", "policy_rate: 30.0", "does not divide"),
         ("normalisation: fixed", "colour: red\nnormalisation: fixed", "colour is not a field"),
-        ("hidden: [256, 256]", "hidden: [256, 256", "no valid YAML"),
+        ("hidden: [256, 256]", "hidden: [256, 256", "not valid YAML"),
     ],
 )
 def test_broken_manifests_are_refused(bundle, tmp_path, old, new, message):

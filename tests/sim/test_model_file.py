@@ -51,7 +51,7 @@ GOOD = "format: op3-model/1\nbus_voltage: 11.1\neffects:\n  - motor: {torque_con
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("format: op3-model/1\neffects: [", "no valid YAML"),
+        ("format: op3-model/1\neffects: [", "not valid YAML"),
         ("effects: []", "format"),
         (GOOD.replace("op3-model/1", "op3-model/9"), "format"),
         ("format: op3-model/1\neffects: []", "effects"),

@@ -122,7 +122,7 @@ def test_invalid_yaml(tmp_path):
     """A file that is no YAML is refused in one line."""
     path = tmp_path / "world.yaml"
     path.write_text("armature: [")
-    with pytest.raises(ValueError, match="no valid YAML") as error:
+    with pytest.raises(ValueError, match="not valid YAML") as error:
         HiddenWorld.load(path)
     assert "\n" not in str(error.value)
 
