@@ -39,7 +39,7 @@ def test_parameters_of_bam_come_in_and_go_out_as_they_were(tmp_path):
     [
         ({"R": None}, "'R' is None"),
         ({"actuator": "nobody"}, "is not a servo of assets/servos"),
-        ({"kt": "x"}, "no number"),
+        ({"kt": "x"}, "not a number"),
     ],
 )
 def test_parameters_of_bam_that_cannot_be_are_refused(tmp_path, changed, said):
