@@ -152,8 +152,8 @@ def diagnosed(case: Case) -> dict[str, Any]:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     models, search = [given, verdict.base, verdict.model], diagnosis.search
     if case.hidden and search is not None:
-        told = with_hidden_effect(search, diagnosis.stages[0], case.hidden[0])
-        models += [] if told is None else [told]
+        with_effect = with_hidden_effect(search, diagnosis.stages[0], case.hidden[0])
+        models += [] if with_effect is None else [with_effect]
     errors = window_errors(models, split.show)
     findings = [
         {

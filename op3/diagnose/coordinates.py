@@ -233,28 +233,28 @@ def base_coordinates(
     return Coordinates(model, tuple(joints), tuple(entries))
 
 
-def own_spread(found: np.ndarray, told: np.ndarray, usual: float, settings: Settings) -> float:
+def own_spread(values: np.ndarray, deviations: np.ndarray, usual: float, settings: Settings) -> float:
     """How much the servos of this robot differ, as a standard deviation: what any make may have hides a fault.
 
     The median is what most servos have, whatever one of them does. What the logs do not tell of them may differ too.
 
     Args:
-        found: their numbers, ``[servo]``.
-        told: standard deviations of these, ``[servo]``.
+        values: their numbers, ``[servo]``.
+        deviations: standard deviations of these, ``[servo]``.
         usual: what servos of one make usually differ by.
     """
-    apart = np.sqrt(np.median(np.square((found - np.median(found)) / norm.ppf(0.75)) + np.square(told)))
+    apart = np.sqrt(np.median(np.square((values - np.median(values)) / norm.ppf(0.75)) + np.square(deviations)))
     weight = 1 / settings.law_spread**2
-    return float(np.exp((len(found) * np.log(apart) + weight * np.log(usual)) / (len(found) + weight)))
+    return float(np.exp((len(values) * np.log(apart) + weight * np.log(usual)) / (len(values) + weight)))
 
 
 def with_own_spread(
-    coordinates: Coordinates, point: np.ndarray, told: np.ndarray, settings: Settings
+    coordinates: Coordinates, point: np.ndarray, deviations: np.ndarray, settings: Settings
 ) -> tuple[Coordinates, np.ndarray]:
     """Expectations of servos that differ as this robot's do.
 
     What they have in common goes to the shared number if there is one, so that the point ``[coordinate]`` is handed
-    back too, as the same base; `told` are the standard deviations of its numbers.
+    back too, as the same base; `deviations` are the standard deviations of its numbers.
     """
     entries, point = list(coordinates.entries), point.copy()
     for name, usual in {**SPREAD, **OWN}.items():
@@ -263,7 +263,7 @@ def with_own_spread(
         if not own:
             continue
         middle = 0.0 if name in OWN else float(np.median(point[own]))
-        deviation = own_spread(point[own], told[own], usual, settings)
+        deviation = own_spread(point[own], deviations[own], usual, settings)
         for i in own:
             entries[i] = replace(entries[i], deviation=deviation)
         point[own] = (1 + point[own]) / (1 + middle) - 1

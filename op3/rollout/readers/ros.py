@@ -376,25 +376,25 @@ def _order(
     clock = states[names[0]][0]
     clock = clock[clock >= time[0]]
     angle = np.array([np.interp(clock, *states[name]) for name in names]).T
-    told = values[np.searchsorted(time, clock, side="right") - 1]
+    targets = values[np.searchsorted(time, clock, side="right") - 1]
     if len(angle) < 20:
         return tuple(name.replace(".position", ".target") for name in names[:width])
-    apart = np.median(np.abs(told[:, :, None] - angle[:, None, :]), axis=0)
-    whose = linear_sum_assignment(apart)[1]
-    number, asked = np.arange(width), np.ptp(told, axis=0)
-    in_order = width == len(states) and apart.trace() < 1.5 * apart[number, whose].sum() + 0.01 * width
-    chosen = number if in_order else whose
+    apart = np.median(np.abs(targets[:, :, None] - angle[:, None, :]), axis=0)
+    nearest = linear_sum_assignment(apart)[1]
+    number, asked = np.arange(width), np.ptp(targets, axis=0)
+    in_order = width == len(states) and apart.trace() < 1.5 * apart[number, nearest].sum() + 0.01 * width
+    chosen = number if in_order else nearest
     others = np.where(chosen[:, None] == np.arange(len(names)), np.inf, apart).min(1) if len(names) > 1 else asked + 1
     off = apart[number, chosen]
     unclear = (asked > 0.1) & ((off > 0.5 * asked) | ((off > 0.5 * others) & (not in_order)))
     if unclear.any():
-        number_of = f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1}"
-        problem = f"{number_of} follows no joint of the states clearly"
+        problem = f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1}"
+        problem += " follows no joint of the states clearly"
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
     if not in_order and (chosen != number).any():
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
-        whose = f"are taken for those of {order}, by which they follow, and not in the order of the states"
-        problem, remedy = f"{topic.name} sends numbers without names, which {whose}", "correct the names under "
-        remedy += "`columns:` if that is wrong"
+        problem = f"{topic.name} sends numbers without names, which are taken for those of {order}, by which they "
+        problem += "follow, and not in the order of the states"
+        remedy = "correct the names under `columns:` if that is wrong"
         doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)
