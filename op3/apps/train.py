@@ -115,11 +115,9 @@ def chosen_task(cfg: DictConfig) -> Task:
     if cfg.robot is not None:
         cfg.task.robot = cfg.robot
     task = instantiate(cfg.task)
-    return (
-        task
-        if cfg.fixed_gain is None
-        else task.changed({"actions.p_gain": dict.fromkeys(("low", "high"), cfg.fixed_gain)})
-    )
+    if cfg.fixed_gain is None:
+        return task
+    return task.changed({"actions.p_gain": {"low": cfg.fixed_gain, "high": cfg.fixed_gain}})
 
 
 def actions(cfg: DictConfig, task: Task) -> ActionMap:

@@ -101,9 +101,9 @@ def _off_its_way(view: View, told: set[int]) -> Iterator[LogFinding]:
         shaken = [other for other in far if other != joint and far[other][first:end].mean() > 0.3]
         if len(shaken) * 2 >= max(len(far) - 1, 1) or np.ptp(target[first:end, joint]) < 0.02:
             continue  # something moved all of them, or what it carries moved it
-        off = f"{rests[joint][0][first:end].max():.2g} rad off what its command lets expect"
+        most = f"{rests[joint][0][first:end].max():.2g} rad off what its command lets expect"
         problem = (
-            f"the joint is {off}, for {(end - first) * period:.2g} s, and {rests[joint][1]:.2g} rad otherwise: its "
+            f"the joint is {most}, for {(end - first) * period:.2g} s, and {rests[joint][1]:.2g} rad otherwise: its "
         )
         problem += "torque was off, or it was blocked"
         last = min((end - 1) * stride, len(view.time) - 1)
