@@ -33,6 +33,7 @@ __all__ = [
     "distance_to_target",
     "heading",
     "overload",
+    "planted",
     "self_contact",
     "smooth",
     "speed_bonus",
@@ -210,6 +211,17 @@ def clearance(state: State, height: float = 0.02, name: str | None = None) -> Te
     """
     low = (1.0 - state.step.foot_clearance / height).clamp(min=0.0)
     return -2.0 * (_swing(state, name) * low).mean(-1)
+
+
+def planted(state: State, height: float = 0.02, name: str | None = None) -> Tensor:
+    """How far heels and toes of feet that should stand are off the ground, twice the mean, in [-2, 0].
+
+    Args:
+        height: of the highest key point of a foot at which all is lost [m].
+        name: as of `bipedal`.
+    """
+    high = (state.step.foot_rise / height).clamp(max=1.0)
+    return -2.0 * ((1.0 - _swing(state, name)) * high).mean(-1)
 
 
 def _swing(state: State, name: str | None) -> Tensor:

@@ -33,6 +33,7 @@ class Throughout:
         foot_force: norm of the force above each foot, ``[sim, foot]`` in N; no columns for tasks without a gait.
         foot_speed: path of the middle of a foot's key points per time, ``[sim, foot]`` in m/s.
         foot_clearance: height of a foot's lowest key point above that of the lowest foot, ``[sim, foot]`` in m.
+        foot_rise: height of a foot's highest key point above the lowest of all feet, ``[sim, foot]`` in m.
         peak_force: largest force on a foot [N].
         peak_acceleration: largest acceleration of the base [m/s^2].
         peak_penetration: how deep one part of the robot entered another [m].
@@ -45,6 +46,7 @@ class Throughout:
     foot_force: Tensor
     foot_speed: Tensor
     foot_clearance: Tensor
+    foot_rise: Tensor
     peak_force: Tensor
     peak_acceleration: Tensor
     peak_penetration: Tensor
@@ -53,7 +55,7 @@ class Throughout:
     def still(cls, count: int, feet: int) -> Throughout:
         """So many robots before their first step."""
         whole, of_feet = torch.zeros(count, dtype=torch.float64), torch.zeros(count, feet, dtype=torch.float64)
-        return cls(*[whole] * 4, *[of_feet] * 3, *[whole] * 3)
+        return cls(*[whole] * 4, *[of_feet] * 4, *[whole] * 3)
 
     def replace(self, **values: Tensor) -> Throughout:
         """The same with other values of some attributes."""
@@ -77,7 +79,7 @@ class WholeStep:
         self._points = at.foot_points[: len(self._forces)]
         count = len(self._forces)
         self._sums, self._peaks = np.zeros((num_sims, 4)), np.zeros((num_sims, 3))
-        self._feet_sums, self._feet = np.zeros((num_sims, 3, count)), np.zeros((num_sims, count, 3))
+        self._feet_sums, self._feet = np.zeros((num_sims, 4, count)), np.zeros((num_sims, count, 3))
         self._samples = 0
         self._timestep = float(model.opt.timestep)
 
@@ -110,8 +112,8 @@ def _add(
     sums, peaks, feet_sums, feet, qpos, qvel, sensordata, site_xpos, current, base, accelerometer, contact, forces,
     points, timestep,
 ):  # fmt: skip
-    """Adds one look to sums ``[sim, 4]``, peaks ``[sim, 3]`` and sums of the feet ``[sim, 3, foot]``."""
-    lowest = np.zeros(len(forces))
+    """Adds one look to sums ``[sim, 4]``, peaks ``[sim, 3]`` and sums of the feet ``[sim, 4, foot]``."""
+    lowest, highest = np.zeros(len(forces)), np.zeros(len(forces))
     for sim in range(len(sums)):
         total = 0.0
         for joint in range(current.shape[1]):
@@ -139,9 +141,10 @@ def _add(
             )
             feet_sums[sim, 0, foot] += force
             peaks[sim, 0] = max(peaks[sim, 0], force)
-            lowest[foot] = site_xpos[sim, points[foot, 0], 2]
+            lowest[foot] = highest[foot] = site_xpos[sim, points[foot, 0], 2]
             for point in points[foot, 1:]:
                 lowest[foot] = min(lowest[foot], site_xpos[sim, point, 2])
+                highest[foot] = max(highest[foot], site_xpos[sim, point, 2])
             way = 0.0
             for axis in range(3):
                 here = 0.0
@@ -155,3 +158,4 @@ def _add(
             ground = lowest.min()
             for foot in range(len(forces)):
                 feet_sums[sim, 2, foot] += lowest[foot] - ground
+                feet_sums[sim, 3, foot] += highest[foot] - ground
