@@ -50,6 +50,15 @@ def test_overload_term_by_hand():
     assert value.item() == pytest.approx(-(1 - math.exp(-7.0)))
 
 
+def test_planted_by_hand():
+    """In mid-swing of the left foot only the right one counts: its heel 5 mm up is a quarter of the height."""
+    step = SimpleNamespace(foot_rise=tensor(0.05, 0.005)[None], foot_force=torch.zeros(1, 2))
+    state = SimpleNamespace(step=step, phase=tensor(0.15))
+    assert rewards.planted(state, height=0.02).item() == pytest.approx(-0.25, abs=2e-3)
+    step.foot_rise = tensor(0.3, 0.3)[None]
+    assert rewards.planted(state).item() == pytest.approx(-1.0, abs=2e-3)  # the most that one foot can lose
+
+
 def test_bipedal_term_by_hand():
     """In mid-swing of the left foot its force counts and its speed does not; with the right foot it is the reverse."""
     swing_middle = torch.tensor(0.15, dtype=torch.float64)

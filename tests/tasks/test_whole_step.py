@@ -6,8 +6,12 @@ import pytest
 import torch
 
 from op3.envs import make_env
+from op3.robot import load_robot
+from op3.robot.kinematics import key_points
 from op3.tasks import find_task
 from op3.tasks.addresses import Addresses
+
+OP3 = load_robot("op3")
 
 
 def drop(height: float):
@@ -30,6 +34,20 @@ def test_a_falling_robot_feels_nothing_and_its_feet_move():
     assert float(seen.foot_force.max()) < 2.0
     # after 32 ms of fall the mean speed is half of g t, and the looks lag by a millisecond
     assert seen.foot_speed[0].tolist() == pytest.approx([9.81 * 0.032 / 2] * 2, rel=0.1)
+
+
+def test_a_pitched_foot_is_higher_at_its_heel():
+    """A robot in the air that leans 0.2 rad forwards has heels higher than toes by the soles' length times its sine."""
+    env, stand = drop(0.3)
+    env._qpos[0, 3:7] = torch.tensor([math.cos(0.1), 0.0, math.sin(0.1), 0.0], dtype=torch.float64)
+    env.simulation.batch.forward()
+    env.step(_with(env, stand))
+    seen = env._whole_step.result()
+    foot = key_points(OP3.home, OP3).reshape(2, -1, 3)[0]
+    length = foot[:, 0].max() - foot[:, 0].min()
+    rise = float((seen.foot_rise - seen.foot_clearance)[0, 0])
+    assert rise == pytest.approx(length * math.sin(0.2), rel=0.1)
+    assert float(seen.foot_clearance.min()) < 0.001
 
 
 def test_a_landing_escapes_a_single_look():
