@@ -1,8 +1,8 @@
-# op3 on a processor: docker build -t op3 . && docker run --rm -v "$PWD/outputs:/work/outputs" op3 demo diagnose
+# op3 without a GPU: docker build -t op3 . && docker run --rm -v "$PWD/outputs:/work/outputs" op3 demo diagnose
 FROM python:3.11-slim
 
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends libegl1 libosmesa6 g++ \
+    && apt-get install --yes --no-install-recommends libegl1 libgl1 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
@@ -13,7 +13,7 @@ COPY assets assets
 RUN pip install --no-cache-dir --index-url https://download.pytorch.org/whl/cpu --extra-index-url https://pypi.org/simple \
         -c constraints.txt torch \
     && pip install --no-cache-dir -c constraints.txt '.[stand-in,video]'
-ENV MUJOCO_GL=osmesa
+ENV MUJOCO_GL=egl
 WORKDIR /work
 ENTRYPOINT ["op3"]
 CMD ["--help"]

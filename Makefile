@@ -10,6 +10,7 @@ install: $(VENV)/.installed
 # what the program needs, and on top of it what tests, formats of others and documentation need
 $(VENV)/.program: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 11) <= sys.version_info[:2] < (3, 13) else "op3 needs Python 3.11 or 3.12: make $(or $(MAKECMDGOALS),install) PYTHON=python3.12")'
+	@echo "installing into $(VENV): some minutes, 3 GB"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[stand-in,video]'

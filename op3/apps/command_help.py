@@ -28,12 +28,12 @@ COMMANDS: Mapping[str, str] = {
     "emulate": "emulate_robot",
     "compare": "compare_runs",
 }
-"""Module in `op3.apps`, and config, of each command."""
+"""Module in `op3.apps` and config of each command."""
 
 PRESETS: Mapping[str, Sequence[str]] = {
     "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
 }
-"""Overrides that a command begins with."""
+"""Overrides that every run of a command starts with."""
 
 
 def files() -> Path:
@@ -68,9 +68,9 @@ def overview() -> str:
             "",
             "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
             "",
-            f"  {'demo':15s}The whole method on an emulated robot at a small budget; one HTML page.",
+            f"  {'demo':15s}Runs the whole method on an emulated robot at a small budget; writes one HTML page.",
             *rows,
-            f"  {'doctor':15s}What this machine has, and what to do about what is missing.",
+            f"  {'doctor':15s}Checks this machine and says how to fix what is missing.",
             f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',
             f"  {'--version':15s}The version of op3.",
         ]
@@ -145,6 +145,6 @@ def usage(config: str) -> str:
     if listed:
         parts += ["Groups (group=name):", "\n".join(listed)]
     if asked := asked_for(config):
-        parts.append(f"`{asked}=` may be left out where it comes first.")
+        parts.append(f"`{asked}=` may be omitted before the first argument.")
     parts.append("Several values (seed=0,1,2) run one after the other with -m; --cfg job prints all settings.")
     return "\n\n".join(parts)

@@ -23,7 +23,7 @@ from op3.report import RunFolder
 from op3.report.compliance_page import report_compliance
 from op3.sim import load_model
 
-INTERRUPTED = "Nothing is kept but what the folder holds."
+INTERRUPTED = "Only results already in the folder are kept."
 
 
 def compliance(
@@ -54,7 +54,7 @@ def names(value: Any) -> list[str]:
     """Policies: one or a list."""
     given = [value] if isinstance(value, str) else value
     if not (isinstance(given, list) and given and all(isinstance(name, str) and name for name in given)):
-        raise ValueError(f"policy must be a folder or several, got {value!r}")
+        raise ValueError(f"policy must be one folder or a list of folders, got {value!r}")
     return given
 
 

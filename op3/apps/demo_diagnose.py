@@ -84,7 +84,7 @@ def main(cfg: DictConfig) -> CommandResult:
     case = draw_case(cfg.seed, "single", cfg.severity, cfg.effect, robot=cfg.hidden_robot)
     sealed = commit([case], folder / "answers")
     digest = hashlib.sha256(sealed.read_bytes()).hexdigest()
-    print(f"A robot with something hidden; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
+    print(f"A robot with a hidden effect; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
     data = record(case, folder / "data")
     windows = [] if cfg.windows is None else [f"windows={cfg.windows}"]
     found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb.mode, folder=folder, overrides=windows)

@@ -41,10 +41,10 @@ from op3.tasks.evaluation import evaluation_return, succeeded
 from op3.tasks.task import Task
 
 FRAME_EVERY = 3
-"""Policy steps between two frames of the film."""
+"""Policy steps between two frames of the video."""
 
 
-INTERRUPTED = "Nothing is kept but what the folder holds."
+INTERRUPTED = "Only results already in the folder are kept."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +197,7 @@ def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str,
 
 
 def main(cfg: DictConfig) -> Evaluated:
-    """Play the episodes, and write numbers, page, logs and film; a sweep maximises the mean return."""
+    """Play the episodes, and write numbers, page, logs and video; a sweep maximises the mean return."""
     torch.set_num_threads(1)
     if OmegaConf.is_missing(cfg, "policy"):
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
@@ -262,7 +262,7 @@ def main(cfg: DictConfig) -> Evaluated:
         states = np.stack(watched.states[:steps:FRAME_EVERY])
         rate = 1 / (FRAME_EVERY * env.policy_period)
         if film(env.scene, states, folder / "episode.mp4", rate, follow=task.cycle is not None):
-            files["episode.mp4"] = "a film of the first episode"
+            files["episode.mp4"] = "a video of the first episode"
     if bundle is not None:
         write_card(cfg, task, bundle)
     # a gait's profile is of gains and of a left and a right leg

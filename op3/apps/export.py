@@ -47,5 +47,5 @@ def main(cfg: DictConfig) -> CommandResult:
         errors = [predict_logs(one, logs).error_mrad for one in (model, kept)]
         if errors[0] is not None and errors[1] is not None:
             said += f" Position error on the logs: {errors[0].value:.3g} mrad with the model,"
-            said += f" {errors[1].value:.3g} mrad with what {cfg.to} expresses."
+            said += f" {errors[1].value:.3g} mrad with the effects that {cfg.to} can represent."
     return CommandResult(output_folder(), said, files=(out,))

@@ -96,10 +96,10 @@ KINDS = {
     int: (int | float, "a number"),
     float: (int | float, "a number"),
 }
-"""What a setting must be whose default in the config is of this kind, and that in words."""
+"""By type of a default in the config: types that a setting may have, and their name in error messages."""
 
 LOGS = ("data", "heldout", "episodes", "actual", "log", "diagnosis")
-"""Fields that name logs where they hold a text."""
+"""Fields whose text values are paths of logs."""
 
 REQUIRED = {
     "data": "a log, a folder of logs, or a list of them",
@@ -110,11 +110,11 @@ REQUIRED = {
     "what": "a log, a policy bundle, a model.yaml, a robot file or the run of a diagnosis",
     "robot": "a name in assets/robots or a robot file",
 }
-"""What the fields hold that a command cannot do without."""
+"""Meaning of the fields that commands require."""
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse fields of a wrong kind or out of range, missing ones, and names of nothing.
+    """Refuse fields of a wrong type, out of range or missing, and names that do not exist.
 
     Raises:
         ValueError: in one sentence, naming the field and what it must be.

@@ -29,8 +29,8 @@ from op3.common.private import CLAIMED, masked, scrub
 from op3.identify.registration import register
 from op3.identify.sweeper_conf import PopulationSweeperConf
 
-NOTHING_KEPT = "Nothing goes on from here: run it again."
-"""What is said after Ctrl-C of commands that keep nothing."""
+NOTHING_KEPT = "This command cannot resume: run it again."
+"""Message after Ctrl-C for commands that cannot resume."""
 
 
 class Job:
@@ -86,8 +86,8 @@ def one_sentence(module: str = "") -> Iterator[None]:
 
 
 def goes_on(done: str) -> str:
-    """What is said after Ctrl-C of a run that keeps what it has done: trials, recordings or stages."""
-    return f"The same command with the same hydra.run.dir goes on from the {done} done."
+    """Message after Ctrl-C of a run that keeps finished trials, recordings or stages."""
+    return f"The same command with the same hydra.run.dir continues after the finished {done}."
 
 
 SETTINGS_OF = {
@@ -96,7 +96,7 @@ SETTINGS_OF = {
     "steps": "train.steps",
     "trials": "hydra.sweeper.n_trials",
 }
-"""Settings whose argument in Python has another name."""
+"""Settings whose Python argument has another name."""
 
 
 @contextmanager

@@ -5,7 +5,7 @@ import sys
 import time
 
 LINE_SECONDS = 10.0
-"""Least time between two lines of progress in a file [s]."""
+"""Minimum time between two lines of progress in a file [s]."""
 
 
 class ProgressLine:

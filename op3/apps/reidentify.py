@@ -97,11 +97,13 @@ def build(cfg: DictConfig) -> Reidentification:
         raise ValueError(f"groups: {absent[0]!r} is not a parameter of {cfg.model}; leave its group out")
     episodes, others = that_count(read_logs(plain(cfg.episodes)))
     if others:
-        print(f"{len(others)} episodes do not count: they ended by {ended_by(others)}, not by a fall", flush=True)
+        print(
+            f"{len(others)} episodes do not count: they ended because of {ended_by(others)}, not by a fall", flush=True
+        )
     if not episodes:
         raise ValueError(
-            f"episodes={plain(cfg.episodes)}: all ended by {ended_by(others)}, which no simulation of the policy"
-            " reproduces; diagnose the robot, fix the cause, and record others"
+            f"episodes={plain(cfg.episodes)}: all ended because of {ended_by(others)}, which no simulation of the"
+            " policy reproduces; diagnose the robot, fix the cause, and record new episodes"
         )
     return Reidentification(
         model,
@@ -126,7 +128,7 @@ def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
     """
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         raise ValueError(
-            "diagnose=true is for a single run: run diagnose.py once, and give its model.yaml as model= to all of these"
+            "diagnose=true needs a single run: run op3 diagnose once, and give its model.yaml as model= to all runs"
         )
     logs = plain(cfg.data if cfg.diagnosis is None else cfg.diagnosis)
     made = Stages(folder).run("diagnose", diagnose, data=logs, model=cfg.model, seed=cfg.seed, wandb=cfg.wandb.mode)

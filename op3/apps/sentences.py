@@ -14,7 +14,7 @@ from op3.common.settings import nearest
 
 
 def explained(error: Exception, config: str) -> str:
-    """What Hydra or the system complains of as one sentence, with the nearest setting or name where one is misspelt."""
+    """An error of Hydra or the system as one sentence, with the nearest setting or name if one is misspelt."""
     text = " ".join(str(error).split())
     if asked := getattr(error, "missing_cfg_file", None):
         group, _, name = str(asked).rpartition("/")
@@ -30,7 +30,7 @@ def explained(error: Exception, config: str) -> str:
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
             part = asked.rpartition(".")[2]
             if unknown[1] == part:
-                return f"{asked} is a setting of another choice: what is chosen here has no {part!r}"
+                return f"{asked} belongs to another option of its group: the chosen one has no {part!r}"
             asked = f"{asked}.{unknown[1]}"
         group, _, part = asked.rpartition(".")
         if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
@@ -42,7 +42,7 @@ def explained(error: Exception, config: str) -> str:
     if text.startswith("Error merging override") and error.__cause__:
         return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
     if asked := getattr(error, "override", None):
-        return f"{asked}: cannot be read; write setting=value, in quotes where it has blanks"
+        return f"{asked}: cannot be read; write setting=value, in quotes if it contains spaces"
     return as_sentence(error)
 
 
@@ -54,7 +54,7 @@ def no_such(group: str, name: str) -> str:
 def as_sentence(error: BaseException) -> str:
     """An error as one sentence: the system's by what it is about, others in their own words."""
     if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
-        return "there is not enough memory for so much at once; ask for fewer robots, episodes or trials"
+        return "not enough memory; use fewer robots, episodes or trials"
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another place"
     if isinstance(error, OmegaConfBaseException):  # where in the config it was stands in lines below

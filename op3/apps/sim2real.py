@@ -43,17 +43,17 @@ from op3.transfer.attempt import Learned, Transfer
 from op3.transfer.failed_episodes import ended_by, that_count
 
 JUDGED = {"balance": "balance_eval", "walk": "walk"}
-"""Task of the evaluation by task of the training."""
+"""Evaluation task of each training task."""
 ROBOTS = ("emulated", "real")
-"""Robots that play policies."""
+"""Sources that can run policies."""
 UNHEARD = ("train.", "task.", "algorithm.", "environment", "evaluation.", "robot.")
-"""Overrides of what the budget, the task and the robot bring in, which the stages do not see."""
+"""Overrides that the stages would ignore: budget, task and robot set these values."""
 TOLD = {"balance": "Balancing on a board that tilts", "walk": "Walking"}
-"""Tasks as the page names them."""
+"""Names of tasks on the page."""
 EXPECTED_SEED = 1_000_003
-"""Added to the seed of the episodes in simulation: none of them has been trained or evaluated on."""
+"""Offset of the seeds of simulated episodes; no training or evaluation uses these seeds."""
 FILM_RATE = 25.0
-"""Frames per second of the films of the robot [Hz]."""
+"""Frames per second of the videos of the robot [Hz]."""
 
 
 INTERRUPTED = goes_on("stages")
@@ -136,7 +136,7 @@ def transfer(
 
 
 def draw(log: Rollout, task: str, path: Path) -> Path | None:
-    """A film of an episode on the robot, once; None where MuJoCo cannot render here."""
+    """A video of an episode on the robot, once; None where MuJoCo cannot render here."""
     if path.exists():
         return path
     scene = build_scene(find_task(task).scene, log.robot)
@@ -190,7 +190,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
     forwarded = [override for override in HydraConfig.get().overrides.task if override.startswith(UNHEARD)]
     if forwarded:
         raise ValueError(
-            f"{forwarded[0]} reaches no stage; write it into the list of the stage's overrides,"
+            f"{forwarded[0]} has no effect on any stage; write it into the list of the stage's overrides,"
             f" 'budgets.{name}.train=[...]'"
         )
     return OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[return-value]
@@ -317,7 +317,7 @@ def reidentified(
 
 def what_is_done(cfg: DictConfig) -> str:
     """Task and robot, for readers of the page alone."""
-    robot = f"The robot is emulated: its truth, `{cfg.world}`, is hidden from all that learns."
+    robot = f"The robot is emulated: its truth, `{cfg.world}`, is hidden from identification and training."
     return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 
 

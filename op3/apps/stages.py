@@ -22,7 +22,7 @@ from op3.apps.support import check_same, remember
 from op3.common.writing import write_text
 
 DONE = "done"
-"""File in a stage's folder that says that it is finished, and what it took."""
+"""File in a stage's folder that marks it as finished, with its duration."""
 
 ASKED = "stage.yaml"
 """File in a stage's folder with the command and its arguments."""
@@ -31,7 +31,7 @@ OUTPUT = "stage.log"
 """File in a stage's folder with what its command printed."""
 
 CHECKPOINT = "checkpoint.pt"
-"""File of a training that can go on."""
+"""File from which a training can resume."""
 
 
 def used_seconds() -> float:
@@ -94,7 +94,7 @@ class Stages:
         self.seconds: dict[str, float] = {}
         """Duration of each stage [s]."""
         self.processor_seconds: dict[str, float] = {}
-        """Time that processors spent on each stage, all of them together [s]."""
+        """Processor time of each stage, summed over processors [s]."""
 
     def run(self, name: str, command: Callable[..., CommandResult], **arguments: Any) -> Path:
         """Call one command, unless that has been done before; returns its folder.
@@ -107,7 +107,7 @@ class Stages:
             arguments: of the command.
 
         Raises:
-            ValueError: if it fails, or was begun with other arguments.
+            ValueError: if it fails, or was started with other arguments.
         """
         arguments = {key: self._real(value) for key, value in arguments.items() if value is not None}
         asked = {"command": command.__name__, **{key: _as_data(value) for key, value in arguments.items()}}

@@ -1,4 +1,4 @@
-"""What several commands do: the run's folder, settings that a folder was begun with, logs and motions by name."""
+"""What several commands do: the run's folder, settings that a folder was started with, logs and motions by name."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from op3.rollout import Rollout
 
 ASKED = "asked.yaml"
-"""File in a run's folder with the settings it was begun with; see `check_same`."""
+"""File in a run's folder with the settings that it started with; see `check_same`."""
 
 Made = TypeVar("Made", bound=CommandResult)
 
@@ -51,7 +51,7 @@ def reported(kind: type[Made], values: Mapping[str, Any], objective: str | None 
 
 
 def check_same(path: Path, asked: Mapping[str, Any]) -> None:
-    """Refuse to go on in a folder with other settings than it was begun with: results would be mixed in silence.
+    """Refuse to go on in a folder with other settings than it was started with: results would be mixed in silence.
 
     Args:
         path: file of the folder in which `remember` has written the settings; nothing is refused without it.
@@ -66,11 +66,11 @@ def check_same(path: Path, asked: Mapping[str, Any]) -> None:
     names = [name for name in {**before, **asked} if before.get(name) != asked.get(name)]
     if names:
         was, now = ({name: each.get(name) for name in names} for each in (before, asked))
-        raise ValueError(f"{path.parent} was begun with {was}, not {now}; choose another hydra.run.dir")
+        raise ValueError(f"{path.parent} was started with {was}, not {now}; choose another hydra.run.dir")
 
 
 def remember(path: Path, asked: Mapping[str, Any]) -> None:
-    """Write down what a folder was begun with, once; see `check_same`."""
+    """Write down what a folder was started with, once; see `check_same`."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, yaml.safe_dump(scrub(dict(asked)), width=1000))
@@ -106,7 +106,7 @@ def model_artifact(cfg: DictConfig) -> list[tuple[str, Path]]:
 
 
 READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
-"""Kind of artifact of what these fields name, besides the model."""
+"""Type of the artifact that each of these fields names, besides the model."""
 
 
 def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":

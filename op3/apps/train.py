@@ -48,9 +48,9 @@ KEPT = ("task", "algorithm", "train", "environments", "env", "environment", "ini
 """Settings that the manifest of a policy keeps."""
 
 FRAME_EVERY = 2
-"""Policy steps between two frames of the film."""
+"""Policy steps between two frames of the video."""
 
-INTERRUPTED = "The same command with resume=<folder of the run> goes on from its last checkpoint."
+INTERRUPTED = "The same command with resume=<folder of the run> continues from its last checkpoint."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,7 +234,7 @@ def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
 
 
 def main(cfg: DictConfig) -> Trained:
-    """Train, judge the kept policy, and write page, numbers and film; a sweep maximises the return."""
+    """Train, judge the kept policy, and write page, numbers and video; a sweep maximises the return."""
     torch.set_num_threads(1)
     choices = {name: str(value) for name, value in HydraConfig.get().runtime.choices.items()}
     if cfg.resume is not None:
@@ -282,7 +282,7 @@ def main(cfg: DictConfig) -> Trained:
         files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
         rate, video = 1.0 / (FRAME_EVERY * judge.policy_period), folder / "episode.mp4"
         if cfg.evaluation.video and film(judge.scene, states, video, rate, follow=judge_task.cycle is not None):
-            files["episode.mp4"] = "a film of one episode of the kept policy"
+            files["episode.mp4"] = "a video of one episode of the kept policy"
             logger.film("episode", video)
         numbers: dict[str, Any] = {f"evaluation.{name}": value for name, value in final.items()}
         numbers |= {

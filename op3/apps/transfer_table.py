@@ -19,7 +19,7 @@ from op3.apps.support import output_folder
 from op3.common.writing import write_text
 from op3.report.transfer_table_page import FAILED, read_cells, write_table
 
-INTERRUPTED = "The same command goes on from the stages done."
+INTERRUPTED = "The same command continues after the finished stages."
 
 
 def main(cfg: DictConfig) -> CommandResult | None:

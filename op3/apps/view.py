@@ -1,12 +1,12 @@
-"""Show a log, a policy, a model or a diagnosis: in a viewer, or as a film.
+"""Show a log, a policy, a model or a diagnosis: in a viewer, or as a video.
 
-python experiments/view.py what=<log> [model=<model.yaml>]             # measured, and the model's prediction as a ghost
+python experiments/view.py what=<log> [model=<model.yaml>]             # measured, with a prediction as an overlay
 python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
-python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands solid, the model as a ghost
+python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands, the model as an overlay
 python experiments/view.py what=<robot.yaml>                           # a robot file: a multisine on the stand
 python experiments/view.py what=<run of diagnose.py>                   # measured, before and after what was named
-python experiments/view.py what=<log> out=film.mp4                     # or out=log.rrd, out=rerun
-python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as a ghost
+python experiments/view.py what=<log> out=video.mp4                     # or out=log.rrd, out=rerun
+python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as an overlay
 
 Without a screen an mp4 is written. As a command: op3 view <log>.
 """
@@ -94,7 +94,7 @@ def of_model(cfg: DictConfig) -> Tracks:
 
 
 def of_robot(cfg: DictConfig) -> Tracks:
-    """A motion of a robot on the stand: its commands, and what a model of its servos makes of them as a ghost."""
+    """A motion of a robot on the stand: its commands, and what a model of its servos makes of them as an overlay."""
     robot = load_robot(cfg.what)
     log = simulate_motion(model_for(robot, cfg.model), multisine(duration=6.0, robot=robot.reference), mount="stand")
     told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
@@ -119,7 +119,7 @@ def tracks_of(cfg: DictConfig) -> Tracks:
 
 
 def watch(cfg: DictConfig, out: Path) -> None:
-    """Show a log while it is recorded: in a window, or a line per second and a film in the end."""
+    """Show a log while it is recorded: in a window, or a line per second and a video in the end."""
     if Path(cfg.what).is_file():
         raise ValueError(f"what={cfg.what}: live=true follows the folder of a log, or of a run of op3 deploy")
     coming = stretches(Path(cfg.what), cfg.model)
@@ -131,12 +131,14 @@ def watch(cfg: DictConfig, out: Path) -> None:
         print(summary_line(tracks), flush=True)
         seen.append(tracks)
     if not seen:
-        raise ValueError(f"what={cfg.what}: no log was started there; start op3 deploy with hydra.run.dir={cfg.what}")
+        raise ValueError(
+            f"what={cfg.what}: no recording has started there; start op3 deploy with hydra.run.dir={cfg.what}"
+        )
     draw(seen, cfg, out)
 
 
 def draw(stretches: list[Tracks], cfg: DictConfig, out: Path) -> None:
-    """Write a film of all stretches."""
+    """Write a video of all stretches."""
     seconds = sum(tracks.duration for tracks in stretches) / cfg.speed
     print(f"drawing {int(seconds * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
     try:

@@ -21,7 +21,7 @@ ADAPTERS = Path("/sys/bus/usb-serial/devices")
 """Where the kernel shows serial adapters."""
 
 Line = tuple[str, str, str]
-"""A verdict, what it is about, and the finding with the remedy."""
+"""State, topic, and finding with its fix."""
 
 
 def report() -> str:
@@ -68,7 +68,7 @@ def rendering() -> Iterator[Line]:
             note = f"MUJOCO_GL={backend}" if backend else "as it is"
             yield GOOD, "rendering", f"works with {note}"
             return
-    yield POOR, "rendering", "no films: install EGL or OSMesa (Debian: libegl1, libosmesa6)"
+    yield POOR, "rendering", "no videos: install EGL (Debian: libegl1, libgl1, libgl1-mesa-dri)"
 
 
 def disk() -> Iterator[Line]:
@@ -95,7 +95,7 @@ def adapters() -> Iterator[Line]:
         yield POOR, "robot", "no serial port: plug in the robot, or use port=emulated"
     for port in ports:
         if not os.access(port, os.R_OK | os.W_OK):
-            yield BAD, "robot", f"{port} may not be opened: sudo usermod -aG dialout $USER, then log in again"
+            yield BAD, "robot", f"{port} cannot be opened: sudo usermod -aG dialout $USER, then log in again"
             continue
         timer, latency = latency_timer(str(port))
         if latency is None or latency <= LATENCY:

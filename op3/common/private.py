@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 SECRET = "OP3_SECRET_"
-"""Beginning of the environment variables that hold passwords of a command line, see `hide`."""
+"""Prefix of the environment variables that hold passwords of a command line, see `hide`."""
 
 CLAIMED = "OP3_CLAIMED_FOLDER"
 """Environment variable that holds the setting of a run's folder which the user did not give."""

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.special import ndtri, stdtrit
 
 RESAMPLES = 4000
-"""How often clusters are drawn for an interval."""
+"""Draws of clusters per interval."""
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:

@@ -78,7 +78,7 @@ Named = Annotated[Mapping[str, _Item], BeforeValidator(_mapping), AfterValidator
 """Values by name: ``Named[Positive]``."""
 
 Raise = Callable[[str, str, Any], Exception]
-"""Makes the error of a field, what it must be, and the value given."""
+"""Builds the error from a field, its requirement and the given value."""
 
 _WANTED = {
     "greater_than": "above {gt:g}",
@@ -222,10 +222,10 @@ _SCALARS = {
     ),
     "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
 }
-"""Plain values of YAML 1.2, and what they begin with."""
+"""Patterns of plain values of YAML 1.2, and their first characters."""
 
 _MOST_ALIASES = 20
-"""Few enough that no text of ours is refused, and that lists of lists of aliases cannot fill the memory."""
+"""Largest number of aliases: nested lists of aliases could otherwise fill the memory."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -310,7 +310,7 @@ def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] =
         raise raises("the text is not valid YAML", remedy, source=source) from None
     if not isinstance(values, dict):
         kind = "empty" if values is None else f"a {type(values).__name__}"
-        raise raises(f"the file is {kind} and no mapping", "write one `name: value` per line", source=source)
+        raise raises(f"the file is {kind} and not a mapping", "write one `name: value` per line", source=source)
     for name in values:
         if not isinstance(name, str):
             raise raises(f"{name!r} is not a name", "write one `name: value` per line", source=source)

@@ -45,7 +45,7 @@ def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = Fal
         fill: writes the contents into the empty folder it is given.
         overwrite: whether a folder already there is replaced.
     """
-    there = FileExistsError(f"{path}: there is something already; choose another folder or pass overwrite=True")
+    there = FileExistsError(f"{path}: it exists already; choose another folder or pass overwrite=True")
     if path.exists() and not overwrite:
         raise there
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,7 @@ RATE = 0.5
 """Growth of the torque [N m/s]."""
 
 MOST = 2.0
-"""Torque at which the ramp ends [N m]; half of what a servo stalls at."""
+"""Torque at which the ramp ends [N m]; half of a servo's stall torque."""
 
 MOVED = 3 * POSITION_UNIT
 """Displacement that counts as breaking away [rad]: three counts of the encoder."""

@@ -23,7 +23,7 @@ BINS = 25
 """Parts of the gait's cycle."""
 
 AFTER_LANDING = 0.1
-"""Time after a touchdown that is looked at apart [s]."""
+"""Time after a touchdown that is evaluated separately [s]."""
 
 TICK = round(1000 * CONTROL_PERIOD)
 """Milliseconds of a tick."""

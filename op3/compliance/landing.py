@@ -12,7 +12,7 @@ from op3.envs.step_traces import SKIPPED, Traces, swings
 Array = NDArray[np.float64]
 
 WINDOW = 50
-"""Milliseconds after a touchdown in which peaks are looked for."""
+"""Milliseconds after a touchdown in which peaks are searched."""
 
 ALIKE = np.array([0.03, 0.004])
 """Differences of speed [m/s] and step height [m] up to which two landings are matched."""
@@ -21,7 +21,7 @@ RESAMPLES = 300
 """Of the bootstrap."""
 
 FEWEST = 20
-"""Pairs of matched landings below which nothing is compared."""
+"""Fewest pairs of matched landings that are compared."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ PULLS = {
     "left foot outwards": ("foot", (0.0, 1.0, 0.0)),
     "left foot upwards": ("foot", (0.0, 0.0, 1.0)),
 }
-"""What is pulled, and where to in the world."""
+"""Pulled body and direction of the pull in the world's axes."""
 
 FIRST, DURATION, MOST = 2.0, 6.0, 6.0
 """When the force begins to grow and for how long [s], and to what [N]; the OP3 weighs 33 N."""

@@ -19,7 +19,7 @@ AFTER = 2.0
 """Time after a push for which a robot must stay upright to have survived it [s]."""
 
 ROWS = 80
-"""Robots side by side; more are hardly cheaper each."""
+"""Robots simulated together; larger batches are hardly faster per robot."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,13 +27,13 @@ from op3.tasks.pushes import DIRECTIONS
 from op3.tasks.task import Task, find_task
 
 ENOUGH = 0.9
-"""Share of robots that must walk, or stand, for a card to say that a policy does."""
+"""Share of robots that must walk, or stand, for the card's verdict."""
 
 BUS_VOLTAGE = "bus_voltage"
-"""Name under which a variation changes the supply of a model."""
+"""Name of the supply voltage in variations."""
 
 PUSH_RUNGS, LARGEST_PUSH = 10, 3.0
-"""Of the ladder of pushes, and its end [N s]."""
+"""Step and end of the sequence of pushes [N s]."""
 
 
 @settings("variation")
@@ -163,7 +163,7 @@ def make_card(
     bundle = actor.policy
     assert isinstance(bundle, PolicyBundle)
     varied = {name: (one.model(model), find_task(task, one.task), one) for name, one in variations.items()}
-    report(f"card: {robots} robots as they are")
+    report(f"card: {robots} nominal robots")
     env = actor.environment(task, model, robots, seed, **options)
     logs, validity = judged_episodes(env, bundle)
     mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])

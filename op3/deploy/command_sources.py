@@ -189,10 +189,10 @@ class Gamepad:
     """
 
     AXES = {1: (0, -1), 0: (1, -1), 3: (2, -1)}
-    """Number of a stick's axis: which command it gives, and with which sign."""
+    """Command and sign of each stick axis, by its number."""
 
     DEAD = 0.1
-    """Share of a stick's travel about its middle that counts as zero: sticks do not return to it."""
+    """Dead zone about the centre of a stick, as a share of its travel: sticks do not return to the centre exactly."""
 
     def __init__(self, path: str | Path):
         try:

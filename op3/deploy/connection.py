@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from op3.deploy.emulator import EmulatedRobot
 
 EMULATED = "emulated"
-"""Name of the port behind which an emulated robot is made in this process."""
+"""Name of the port that starts an emulated robot in this process."""
 
 HANG_SCALE = 0.5
 """Share of the peak currents that a suspended robot gets."""
@@ -219,13 +219,15 @@ def _logs(connection: Connection, plan: Plan, recording: str | None, **metadata:
 
 
 SETTINGS = {"return_delay_time": 0, **UNTOUCHED}
-"""Registers that a robot needs once."""
+"""Registers that are set once per robot."""
 
 
 def setup(connection: Connection, *, report: Report = print) -> ExitCode:
     """Write the settings that the start checks ask for; torque is off meanwhile."""
     text = ", ".join(f"{name} = {value}" for name, value in SETTINGS.items())
-    if not connection.operator.confirm(f"Torque goes off, and {text} is written to the EEPROM of all servos."):
+    if not connection.operator.confirm(
+        f"Torque will be switched off, and {text} is written to the EEPROM of all servos."
+    ):
         report("not confirmed, nothing written")
         return ExitCode.DECLINED
     safety = Safety(connection.bus, report=report)

@@ -30,7 +30,7 @@ from op3.deploy.ticker import Clock
 from op3.robot import Robot, load_robot
 
 BAUD_RATE = 2_000_000
-"""Of the bus [bit/s]."""
+"""Baud rate of the bus [bit/s]."""
 
 BOARD = "opencr"
 """Name of the board with IMU and power switch."""
@@ -39,13 +39,13 @@ FIRST_ANSWER = 4.0
 """How long the first byte of an answer may take [ms]; the USB adapter alone delays by up to 1 ms."""
 
 GAP = 2.0
-"""How long bytes may pause inside a row of answers [ms]."""
+"""Longest pause between bytes of consecutive answers [ms]."""
 
 SLOW_ANSWER = 24.0
-"""The same two where a USB adapter has its latency timer of 16 ms again, as after it was plugged in again [ms]."""
+"""Both limits while a USB adapter has its default latency timer of 16 ms, as after it was plugged in again [ms]."""
 
 ATTEMPTS = 3
-"""How often a single read or write is tried."""
+"""Attempts of a single read or write."""
 
 
 class BusError(RuntimeError):
@@ -139,7 +139,7 @@ class Bus:
     def writer(self) -> Writer:
         """The only handle that writes; given out once."""
         if self._writer is not None:
-            raise RuntimeError("the bus has given out its writer; only one object may write")
+            raise RuntimeError("the bus already has a writer; only one object may write")
         self._writer = Writer(self)
         return self._writer
 

@@ -22,10 +22,10 @@ from op3.tasks.events import Terrain, board_motion
 from op3.tasks.task import Task, find_task
 
 MakePhysics = Callable[[str, ArrayLike | None], Physics]
-"""Makes a robot on a scene, at joint angles [joint] in rad."""
+"""Builds the physics of a robot in a scene, at joint angles [joint] in rad."""
 
 LOOK_EVERY = 0.032
-"""Time between two looks at how far the robot has got [s]: once per policy step."""
+"""Interval between observations of the robot's true motion [s]: once per policy step."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ class ExitCode(IntEnum):
     NON_FINITE = 27
     """The policy or the controller asked for something that is not a finite number."""
     OVERRUN = 28
-    """The loop was held up so long that the servos' watchdogs have let go."""
+    """The loop was blocked so long that the servos' watchdogs switched torque off."""
     POSITION_JUMP = 29
     """A position moved faster than its servo can: a turn was lost, or a counter was reset."""
     ERROR = 30

@@ -17,7 +17,7 @@ CONFIRMED = 3
 """Readings in a row that confirm a temperature; a single reading may be a glitch."""
 
 ALIVE_COUNTS = 50
-"""A servo that answers has at least 5 V; one that says less has restarted and lost its indirect addresses."""
+"""A servo that answers has at least 5 V; one that reports less has restarted and lost its indirect addresses."""
 
 FASTEST = 3.0
 """No joint moves faster than this many times its servo's speed without load, even when it is pushed."""

@@ -22,10 +22,10 @@ from op3.robot.kinematics import minimum_jerk
 Array = NDArray[np.float64]
 
 GAIN_RAMP_TIME = 1.0
-"""How long the P gains take from nothing to full, about the pose that was measured [s]."""
+"""Time in which P gains rise from zero at the measured pose [s]."""
 
 BLEND_TIME = 0.25
-"""How long the gains of a move take to become its own, after a soft policy for example [s]."""
+"""Time in which gains change to those of a move, for example after a soft policy [s]."""
 
 LEAST_MOVE_TIME = 2.0
 """Shortest time of a move to another pose [s]."""

@@ -144,7 +144,7 @@ POLICY_FAILED = (
     ExitCode.NON_FINITE,
     ExitCode.SELF_COLLISION,
 )
-"""Ends of an episode that its policy has to answer for, unlike those of the bus."""
+"""Ends of an episode that count as failures of the policy, unlike faults of the bus."""
 
 
 def _ending(outcome: SessionOutcome, extra: dict[str, Any]) -> dict[str, Any]:

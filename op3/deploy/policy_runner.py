@@ -143,7 +143,7 @@ class PolicyRunner:
 
 
 STOPPING = 2.0
-"""How long before its end a commanded walk is told to stand [s]: within it the robot comes to rest."""
+"""How long before its end a commanded walk gets a zero command [s]: the robot then comes to rest."""
 
 
 class FollowPolicy(Phase):

@@ -18,7 +18,7 @@ from struct import unpack
 import numpy as np
 
 HEADER = b"\xff\xff\xfd\x00"
-"""What every packet begins with."""
+"""Header of every packet."""
 
 BROADCAST_ID = 0xFE
 """Address of all devices."""
@@ -27,7 +27,7 @@ MAX_ID = 0xFC
 """Highest id of a device."""
 
 MAX_LENGTH = 1024
-"""Largest value of a packet's length field that is believed; the buffer of dynamixel-sdk."""
+"""Largest accepted value of a packet's length field; the buffer of dynamixel-sdk."""
 
 ALERT = 0x80
 """Bit of a status packet's error byte: the device has a hardware error."""
@@ -39,7 +39,7 @@ class Instruction(IntEnum):
     """What a packet asks for, or that it is an answer."""
 
     PING_1 = -1
-    """A ping of protocol 1.0; the only instruction of it that is known here."""
+    """A ping of protocol 1.0, its only instruction that is supported."""
     PING = 0x01
     READ = 0x02
     WRITE = 0x03

@@ -145,7 +145,7 @@ OPEN_CR_ID = BOARD_ID
 """Bus id of the OpenCR."""
 
 OPEN_CR_MODEL = 0x7400
-"""What it answers to a ping."""
+"""Model number in its answer to a ping."""
 
 OPEN_CR_AXES = np.array([-1.0, -1.0, 1.0])
 """Factors from the OpenCR's readings of x, y, z (roll, pitch, yaw) to the robot's axes."""

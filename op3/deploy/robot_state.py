@@ -33,7 +33,7 @@ CONTENTS = {
     "temperature": DYNAMIXEL_X["present_temperature"],
     "voltage": DYNAMIXEL_X["present_input_voltage"],
 }
-"""What a tick needs of a servo: 14 bytes."""
+"""Registers that a tick reads from a servo: 14 bytes."""
 
 FIRST_PLAIN = CONTENTS["current"].address
 PLAIN_LENGTH = CONTENTS["temperature"].end - FIRST_PLAIN

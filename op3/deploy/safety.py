@@ -35,10 +35,10 @@ from op3.deploy.start_checks import StartChecks
 from op3.deploy.ticker import PERIOD, Tick
 
 WATCHDOG = 5
-"""Bus watchdog in its unit: a servo that hears nothing for 100 ms lets go by itself."""
+"""Bus watchdog in its unit: a servo that receives nothing for 100 ms switches its torque off."""
 
 RECOVERY_TIME = 0.25
-"""How long the P gains take to come back after a loss that was long enough to damp [s]."""
+"""Time in which P gains return after a loss of answers that led to damping [s]."""
 
 RELEASE_WRITES = 3
 """How often zero current and torque off are sent before they are read back."""
@@ -47,13 +47,13 @@ RELEASE_PATIENCE = 5.0
 """How long torque off is tried on a silent bus [s]."""
 
 ASKED = 40
-"""Goal current that a current must follow [counts]."""
+"""Goal current from which a measured current must follow [counts]."""
 
 LET_GO = 5
-"""After so many ticks without a current the servo's torque is read back."""
+"""Ticks without current after which the servo's torque register is read."""
 
 SILENT = 25
-"""After so many the run ends though its torque is on."""
+"""Ticks without current after which the run ends although torque is on."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,9 @@ class Safety(Onlooker):
             return
         gap = self.bus.clock.now() - self._write_time
         if gap >= WATCHDOG * WATCHDOG_UNIT:
-            reason = f"nothing was written for {1e3 * gap:.0f} ms, so the servos have let go by themselves"
+            reason = (
+                f"nothing was written for {1e3 * gap:.0f} ms, so the servos' watchdogs have switched their torque off"
+            )
             raise Stop(ExitCode.OVERRUN, f"{reason}; stop other programs on this computer")
 
     def _check_torque(self) -> None:

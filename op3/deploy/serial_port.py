@@ -8,7 +8,7 @@ import dynamixel_sdk
 import serial
 
 WRITE_TIMEOUT = 0.05
-"""How long the computer's own buffer may refuse bytes [s]; an adapter that hangs would otherwise hold the program."""
+"""How long the computer's own buffer may refuse bytes [s]; an adapter that hangs would otherwise block the program."""
 
 
 class SerialPort(dynamixel_sdk.PortHandler):

@@ -32,13 +32,13 @@ from op3.deploy.ticker import PERIOD, Tick, Ticker, Timing
 from op3.rollout import LogError, Metadata, Recorder, Rollout
 
 LOG_NAMES = ("approach", "run", "after")
-"""Logs that a run can leave."""
+"""Logs that a run may write."""
 
 RAW = ("current", "velocity", "position", "hardware_error", "imu")
-"""Registers that are logged as they came."""
+"""Registers that are logged unconverted."""
 
 IMU = ("orientation", "angular_velocity", "linear_acceleration")
-"""And what else is of a robot with an IMU."""
+"""Further registers of a robot with an IMU."""
 
 
 @dataclass(frozen=True)
@@ -328,7 +328,7 @@ class Session:
 
 
 Phases = Callable[[Session], Sequence[Phase]]
-"""Makes the phases of a run; the session is there for those that go on from its last targets."""
+"""Builds the phases of a run; phases that continue from the last targets read them from the session."""
 
 
 @contextmanager

@@ -24,7 +24,7 @@ LEAST_FIRMWARE = 38
 """First firmware of the XM430 with the bus watchdog; ROBOTIS e-Manual."""
 
 LONGEST_RETURN_DELAY = 1
-"""In units of 2 us: with the factory value, 500 us, twenty answers do not fit into a tick."""
+"""Longest return delay [2 us]: with the factory value, 500 us, twenty answers do not fit into a tick."""
 
 UNTOUCHED = {
     "drive_mode": 0,
@@ -34,7 +34,7 @@ UNTOUCHED = {
     "profile_acceleration": 0,
     "shutdown": 0x34,  # by overheating, an electrical shock and overload
 }
-"""Registers that other programs leave behind, and their values from the factory; ROBOTIS e-Manual."""
+"""Registers that other programs change, with their factory values; ROBOTIS e-Manual."""
 
 LARGEST_TILT_DEG = 30.0
 """An upright trunk rolls and pitches less than this [deg]; the squat leans by 17."""
@@ -43,7 +43,7 @@ MARGIN = 0.05
 """How far a limp joint may hang beyond its soft limit [rad]."""
 
 LATE_ANSWER = 2.5
-"""Most pings take less by a latency timer of 1 ms [ms]: the wire and the computer add 0.3."""
+"""Median time of a ping with a latency timer of 1 ms is below this [ms]: wire and computer add 0.3."""
 
 SAMPLES = 25
 """Readings of the IMU that must not all be the same, one every 8 ms."""
@@ -172,7 +172,7 @@ class StartChecks:
     def _look_for_protocol_1(self, silent: Sequence[str]) -> None:
         if old := [f"{name} (id {self._bus.ids[name]})" for name in silent if self._bus.answers_protocol_1(name)]:
             remedy = "set the register protocol_version there to 2, with DYNAMIXEL Wizard"
-            raise Failed(f"protocol 1.0 is spoken by {', '.join(old)}; {remedy}")
+            raise Failed(f"protocol 1.0 answer from {', '.join(old)}; {remedy}")
 
     def _firmware(self) -> str:
         for name, model in self._models.items():

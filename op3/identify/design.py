@@ -19,7 +19,7 @@ NOISE: Mapping[tuple[str, str], float] = {
     ("joint", "velocity"): 0.1,
     ("joint", "current"): 0.03,
 }
-"""What open-loop replays of the stand-in leave by channel, as root mean squares [rad, rad/s, A].
+"""Residuals of open-loop replays of the stand-in by channel, root mean squares [rad, rad/s, A].
 
 Sensors are far better; what counts is how well a model fits.
 """
@@ -124,7 +124,7 @@ def check_choice(names: Sequence[str], wanted: Sequence[str], criterion: str) ->
     if unknown:
         raise ValueError(f"design: unknown parameter {unknown[0]!r}; there are {', '.join(names)}")
     if not wanted:
-        raise ValueError("design: there is no parameter to choose for")
+        raise ValueError("design: there is no parameter to plan for")
     if criterion not in ("D", "A"):
         raise ValueError(f"design: criterion must be D or A, got {criterion!r}")
 
@@ -162,7 +162,7 @@ def choose(
     """
     check_choice(names, wanted, criterion)
     if not candidates:
-        raise ValueError("design: there is nothing to choose from")
+        raise ValueError("design: there are no motions to choose from")
     places = [list(names).index(name) for name in wanted]
     known = np.eye(len(names)) * PRIOR
     steps: list[Step] = []

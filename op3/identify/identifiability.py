@@ -16,7 +16,7 @@ SHARE = 0.5
 """A parameter is identifiable where its 90 % interval is narrower than this share of the range searched."""
 
 PART = 0.3
-"""A parameter takes part in a combination with at least this component of its direction, whose length is one."""
+"""Smallest component of a combination's unit direction with which a parameter counts as part of it."""
 
 WIDTH = 2 * float(special.ndtri(0.95))
 """Width of a 90 % interval in standard deviations."""

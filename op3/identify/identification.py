@@ -30,10 +30,10 @@ PREFIX = "parameters."
 """Search-space keys are config keys below this one."""
 
 BLOCKS_PER_LOG = 10
-"""Stretches of equal length of each log that intervals take as independent; half a second of a squat."""
+"""Blocks of equal length in each log that intervals treat as independent; half a second of a squat."""
 
 CHECKED = 0.1
-"""How much of every log is simulated before the first trial [s]: whether that can be done shows at once."""
+"""Length of each log that is simulated before the first trial, so that errors show at once [s]."""
 
 
 @dataclass(frozen=True, eq=False)

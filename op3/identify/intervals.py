@@ -8,13 +8,13 @@ from scipy import optimize, special
 from op3.identify.sensitivity import Array, Residuals, Sensitivity, simulate
 
 EDGE = 0.02
-"""A parameter within this share of its range from an end of it has ended there."""
+"""A parameter this close to a bound, as a share of its range, counts as at the bound."""
 
 FARTHER = (0.5, 1.0)
-"""Where an interval from one end of a range is checked, as shares of the way from its own end to the other end."""
+"""Points at which the interval of a parameter at a bound is checked, as shares of the way to the other bound."""
 
 NOTHING = 1e-9
-"""Share of the largest information below which a combination of parameters changes nothing."""
+"""Share of the largest information below which a combination of parameters counts as having no effect."""
 
 
 def at_bound(place: float) -> bool:

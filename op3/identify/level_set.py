@@ -5,7 +5,7 @@ import numpy as np
 from op3.identify.sensitivity import Array
 
 STEPS_PER_PARAMETER = 10
-"""Moves of the walk between two draws, per parameter: its draws hardly depend on one another."""
+"""Moves of the random walk between two draws, per parameter: draws are then nearly independent."""
 
 
 def draw_level_set(

@@ -33,10 +33,10 @@ MISFIT = "misfit"
 """Attribute of a trial: a vector that is zero where the second objective is."""
 
 ENOUGH = 2.0
-"""Trials that tell of themselves, per parameter, before anything is foreseen."""
+"""Trials per parameter before surrogates are used."""
 
 FAR = 1.5
-"""How many times the limit the first objective of trials may be that the second is learned from."""
+"""The second objective is learned from trials whose first objective is at most this many times the limit."""
 
 LEARNED = 200
 """Trials that a surrogate learns from, those of the lowest objective."""
@@ -45,7 +45,7 @@ RISES = (0.2, 0.6, 1.0)
 """Expected rises of the first objective that points are drawn from, as shares of what is tolerated."""
 
 AIMED = 0.6
-"""Share of the tolerated rise up to which points are proposed: what is foreseen is not quite what comes out."""
+"""Share of the tolerated rise up to which points are proposed: predictions are not exact."""
 
 DRAWS = 150
 """Points drawn for each rise."""
@@ -54,19 +54,21 @@ LEAPS = 1500
 """Steps tried from the best trials."""
 
 IMAGE_LENGTH = 128
-"""Numbers of an image: enough that their squares differ from those of residuals by an eighth or so."""
+"""Length of an image: squared norms then differ from those of the residuals by about an eighth."""
 
 BEST = 20
-"""Trials that steps begin from."""
+"""Best trials from which steps start."""
 
 STEPS = (0.02, 0.5)
 """Lengths of steps, as shares of the difference of two points of the level set."""
 
 CAUTION = (0.5, -0.3, -1.0)
-"""How much the variance counts beside the squared mean; below zero it draws on. Each for an equal part of proposals."""
+"""Weights of the variance relative to the squared mean; negative ones explore. Each serves an equal share of
+proposals.
+"""
 
 APART = 0.05
-"""Proposals nearer to each other than this, in length scales, are one."""
+"""Proposals closer than this, in length scales, count as duplicates."""
 
 
 @dataclass(frozen=True, eq=False)

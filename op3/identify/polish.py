@@ -14,10 +14,10 @@ from op3.identify.refine import least_squares
 from op3.identify.sensitivity import Array, Box, Residuals, Sensitivity, sensitivity_at, simulate
 
 GAIN = 1e-3
-"""Share of the loss by which a step has to lower it, or it was the last."""
+"""Smallest decrease of the loss per step, as a share of it; a smaller one ends the refinement."""
 
 LENGTHENED = 2
-"""How often arms are made longer where the first ones prove too short."""
+"""How often difference steps are lengthened that prove too short."""
 
 
 @dataclass(frozen=True, eq=False)

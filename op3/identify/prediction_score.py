@@ -14,10 +14,10 @@ from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel
 
 FEWEST_LOGS = 5
-"""Fewer logs than this are each cut into stretches, which are then drawn instead of logs."""
+"""Fewer logs than this are each cut into blocks, and the bootstrap draws blocks instead of logs."""
 
 STRETCHES = 10
-"""Stretches of equal length per log."""
+"""Blocks of equal length per log."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ DIFFERENCE_STEP = 2e-3
 """Step of finite differences, as a share of a parameter's range: above the kinks of stiction, below curvature."""
 
 TRIES = 4
-"""Points that may be simulated for every step on average: where one does not lower the loss, a shorter one is tried."""
+"""Points that may be simulated per step on average: if a step does not lower the loss, a shorter one is tried."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from op3.servo.conditions import split_name
 from op3.sim import model_for
 
 MARGIN = 3.0
-"""How far from what a robot's own makes of servo say a parameter of motor or friction may lie: by this factor."""
+"""Motor and friction parameters are searched within this factor of the values of the robot's servo makes."""
 
 
 def chosen_robot(config: DictConfig) -> Robot:

@@ -20,11 +20,11 @@ TABLE_ONE: Mapping[str, Sequence[str]] = {
     "body": ("base_mass_offset", "base_com_offset_x", "base_com_offset_z"),
     "stribeck_velocity": ("stribeck_velocity",),
 }
-"""Groups of the paper's Table I, whose motor is the effect of that name, and the speed that it does not give."""
+"""Groups of the paper's Table I, and the Stribeck velocity, which it does not give."""
 
 
 SEARCHED = Path(__file__).with_name("searched_parameters.yaml")
-"""The parameters that are searched with each effect of the catalogue, which need not be imported to know them."""
+"""Searched parameters of each effect, as a file, so that the catalogue need not be imported."""
 
 
 def searched_parameters() -> dict[str, tuple[str, ...]]:

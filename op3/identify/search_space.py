@@ -49,7 +49,7 @@ def parse_range(key: str, text: Any) -> FloatDistribution:
         if not isinstance(sweep, IntervalSweep):
             raise ValueError("it is not an interval")
         if sweep.tags - {"log"}:
-            raise ValueError(f"of tags only `log` is known, not {', '.join(sorted(sweep.tags))}")
+            raise ValueError(f"the only tag is `log`, got {', '.join(sorted(sweep.tags))}")
         low, high, log = sweep.start, sweep.end, "log" in sweep.tags
         if not (isinstance(low, float) and isinstance(high, float) and math.isfinite(low) and math.isfinite(high)):
             raise ValueError("the ends must be finite numbers")

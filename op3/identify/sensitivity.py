@@ -15,19 +15,19 @@ Residuals = Callable[[Tensor], Tensor]
 """Points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``."""
 
 FIRST_ARM = 1e-2
-"""Arms along the parameters where nothing is known yet, as a share of a range."""
+"""First difference steps along the parameters, as a share of a range."""
 
 SHORTEST, LONGEST = 5e-3, 0.3
-"""Bounds of the arms along combinations of parameters, as a share of the ranges."""
+"""Bounds of difference steps along combinations of parameters, as a share of the ranges."""
 
 RISE = 0.05
-"""By which share of the loss an arm should raise it, where jumps do not ask for more."""
+"""Share of the loss by which a difference step should raise it, unless jumps of the loss require more."""
 
 ABOVE_JUMPS = 4.0
-"""How many times what jumps do to the loss an arm should raise it: the difference is then not that of single jumps."""
+"""A difference step should raise the loss by this multiple of its jumps, so that single jumps do not dominate."""
 
 TAKES_PART = 0.5
-"""A parameter with at least this component of a direction is not seen where both arms of it diverge."""
+"""If both steps along a direction diverge, parameters with at least this component of it are not identifiable."""
 
 
 @dataclass(frozen=True, eq=False)

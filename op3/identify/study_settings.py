@@ -110,9 +110,7 @@ def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
     space, each = parse_search_space(sweeper["params"]), sweeper.get("each") or {}
     for key in each:
         if key not in space:
-            raise StudyError(
-                f"{key} is to be searched per joint, but is not searched at all: add its group, or leave it out."
-            )
+            raise StudyError(f"{key} is listed in per_joint, but is not searched: add its group, or leave it out.")
     labels = {key: [f"{key}@{JOINT}={label}" for label in each[key]] if key in each else [key] for key in space}
     return {name: distribution for key, distribution in space.items() for name in labels[key]}
 

@@ -19,13 +19,13 @@ from torch import Tensor
 from op3.identify.sensitivity import Array, Residuals, simulate
 
 CAUTION = (1.0, 0.2, 0.02)
-"""How much the variance counts beside the squared mean: at 1 it is the expected loss, below it steps are bolder."""
+"""Weight of the variance relative to the squared mean: 1 gives the expected loss, less gives bolder steps."""
 
 APART = 0.1
-"""Proposals nearer to each other than this, in length scales, are one."""
+"""Proposals closer than this, in length scales, count as duplicates."""
 
 UNTOLD = 0.3
-"""Standard deviation of proposals along what the surrogate does not tell, as a share of a range."""
+"""Standard deviation of proposals along directions that the surrogate does not determine, as a share of a range."""
 
 MOST_POINTS = 110
 """Points that a surrogate learns from, the best ones."""

@@ -30,20 +30,20 @@ RATE = 125.0
 """Rows per second: the robot's PD loop."""
 
 FADE = 0.5
-"""How long oscillations swell and die away [s]."""
+"""Duration of the fade-in and fade-out of oscillations [s]."""
 
 Array = NDArray[np.float64]
 Amplitudes = Mapping[str, float]
 """Amplitude of each joint that moves [rad]; the sign is its direction."""
 
 SHARES = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
-"""How far joints move where no amplitudes are given, of the way from home to the nearer limit: the first safe one."""
+"""Default amplitudes, as shares of the way from home to the nearer limit; the first safe one is taken."""
 
 LARGEST = 0.5
-"""And the largest of these amplitudes [rad]."""
+"""Largest default amplitude [rad]."""
 
 BRISK = 0.95
-"""Where no amplitudes are given, joints move at most at so much of their speed limit."""
+"""With default amplitudes, joints move at most at this share of their speed limit."""
 
 
 def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..., Motion]:

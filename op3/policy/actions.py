@@ -26,7 +26,7 @@ controlled joint inside its soft limits, so that action 0 is the stand pose.
 
 
 HELD_GAIN = 6.0
-"""P gain that a policy does not command [A/rad], as of joints that hold the stand pose."""
+"""P gain of joints whose gain no policy commands [A/rad], such as those that hold the stand pose."""
 
 
 @settings("action map")
@@ -72,9 +72,11 @@ class ActionMap:
                     f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
                 )
         if (self.gain_low is None) != (self.gain_high is None):
-            raise ValueError("action map: gain_low and gain_high are given together, or neither")
+            raise ValueError("action map: give both gain_low and gain_high, or neither")
         if self.gain_low is not None and self.gain_high is not None and not self.gain_low <= self.gain_high:
-            raise ValueError(f"action map: gains must not fall, got {self.gain_low} to {self.gain_high} A/rad")
+            raise ValueError(
+                f"action map: gain_high must not be below gain_low, got {self.gain_low} to {self.gain_high} A/rad"
+            )
 
     @classmethod
     def of_terms(cls, terms: Mapping[str, Mapping[str, Any]], robot: Robot) -> "ActionMap":

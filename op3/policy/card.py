@@ -18,8 +18,9 @@ CARD = "card.yaml"
 FORMAT = "op3-card/1"
 
 LARGEST_SELF_CONTACT = 0.02
-"""Share of steps in which a policy may touch itself to be run on a robot [-]: a misstep's worth in ten seconds of
-walking, 0.2 s. A gait that leans on its other leg touches in every step."""
+"""Share of steps in which a policy may touch itself to be run on a robot [-]: one misstep of 0.2 s in ten seconds of
+walking. A gait that leans on its other leg touches in every step.
+"""
 
 
 @settings("policy card")
@@ -61,7 +62,7 @@ class Card:
         if self.policy != bundle.fingerprint:
             return f"has the card of another policy ({self.policy}, its own is {bundle.fingerprint})"
         if self.verdict == "FALLS":
-            return "falls in simulation, says its card"
+            return "falls in simulation according to its card"
         if self.self_contact > LARGEST_SELF_CONTACT:
             return (
                 f"touches itself in {100 * self.self_contact:.1f} % of the steps in simulation;"
@@ -130,7 +131,7 @@ def check_card(folder: str | Path, bundle: PolicyBundle) -> Card:
     card = find_card(folder)
     remedy = f"make one with op3 evaluate policy={folder} task={bundle.manifest.task} card=true"
     if card is None:
-        raise ValueError(f"{folder} has no card ({CARD}), so nobody knows what it does: {remedy}")
+        raise ValueError(f"{folder} has no card ({CARD}), so its behaviour is untested: {remedy}")
     if why := card.refusal(bundle):
         raise ValueError(f"{folder} {why}: train another policy, or {remedy}")
     return card

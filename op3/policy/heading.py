@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 LARGEST = 0.3
-"""Largest difference between heading and reference [rad]; beyond it the reference gives in, so that a robot that was
-turned by hand or lagged behind a command does not make up for it."""
+"""Largest difference between heading and reference [rad]; beyond it the reference follows, so that a robot that was
+turned by hand or lagged behind a command does not turn back.
+"""
 
 
 def wrapped(angle: Tensor) -> Tensor:

@@ -152,7 +152,7 @@ class Manifest:
         """
         values = parse_yaml(text, "policy manifest")
         if values.pop("format", None) != FORMAT:
-            raise ValueError(f"policy manifest: format must be {FORMAT!r}; this is no manifest of this version")
+            raise ValueError(f"policy manifest: format must be {FORMAT!r}; this is not a manifest of this version")
         size = values.pop("observation_size", None)
         for name, kind in (("action_map", ActionMap.from_dict), ("training", lambda given: Training(**given))):
             if isinstance(values.get(name), Mapping):

@@ -13,14 +13,14 @@ from op3.policy.observations import Sensed
 from op3.robot import load_robot
 
 AXIAL = (-1.0, 1.0, -1.0)
-"""Signs of the image of an axial vector, such as a rotation: its part along y stays, the others are reversed."""
+"""Signs of the mirror image of an axial vector, such as a rotation: y keeps its sign, x and z change theirs."""
 
 SAMPLES = 64
-"""Random states by which the image of an observation is found."""
+"""Random states from which the mirror image of an observation is derived."""
 
 LEAST_LIKENESS = 0.99
-"""Of a number's image to a number of the original: cosine of the angle between their samples; left and right of a CAD
-model differ by a millimetre or so, and numbers that have nothing to do with each other have about 0."""
+"""Smallest cosine between the samples of a mirrored number and its partner. Unrelated numbers have about 0; left and
+right of a CAD model differ by about a millimetre."""
 
 
 class Mirror:

@@ -19,7 +19,7 @@ Terms = Mapping[str, Mapping[str, Any]]
 """Observation terms by name, each with ``function``, its parameters, and the options of `Observer`."""
 
 OPTIONS = {"noise": 0.0, "resolution": 0.0, "delay": 0}
-"""Options of an observation term, and what they are where a task does not give them."""
+"""Options of an observation term, and their defaults."""
 
 
 def layout_slices(layout: Mapping[str, int]) -> dict[str, slice]:

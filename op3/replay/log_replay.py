@@ -18,10 +18,10 @@ from op3.rollout.schema import COMMAND_CHANNELS
 from op3.servo import RobotModel
 
 BENCH_SAMPLING = 0.005
-"""Time between looks at a pendulum, whose servo has a much faster loop [s]; those between are interpolated."""
+"""Interval between simulated states of a pendulum that are stored [s]; others are interpolated."""
 
 SAME_RATE = 0.02
-"""Relative difference up to which a measured rate is the usual one."""
+"""Relative difference up to which a measured rate counts as the usual one."""
 
 
 @dataclass(frozen=True, eq=False)

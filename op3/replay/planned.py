@@ -16,7 +16,7 @@ COLD, WARM = 28.0, 58.0
 """Temperatures of servos before and after long work [C]."""
 
 STILL = 0.02
-"""A joint that moves less than this is not planned to move [rad]."""
+"""A joint that moves less than this counts as not moving [rad]."""
 
 PAUSE = 6.0
 """Between two runs [s]."""

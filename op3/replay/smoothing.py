@@ -12,7 +12,7 @@ from op3.rollout.rollout import Rollout
 from op3.rollout.schema import COMMAND_CHANNELS
 
 HALF_WIDTH = 3
-"""Ticks of 8 ms on each side that the local cubic of the smoothed state sees; of others as many as last as long."""
+"""Ticks of 8 ms on each side that the local cubic of the smoothed state covers; the same time at other rates."""
 
 TICK = 0.008
 """Usual time between rows [s]."""
@@ -21,28 +21,28 @@ SAME_RATE = 0.02
 """Relative difference up to which rows come at the rate that the metadata say."""
 
 POSITION_NOISE = 0.0006
-"""Of a position reading, half a count of a 4096-step encoder and a little more [rad]."""
+"""Standard deviation of a position reading, half a count of a 4096-step encoder and a little more [rad]."""
 
 VELOCITY_NOISE = 0.05
-"""Of a velocity reading whose servo is not known [rad/s]: mostly how late it is."""
+"""Standard deviation of the velocity readings of an unknown servo [rad/s], mostly due to their delay."""
 
 LEAST_VELOCITY_NOISE = 0.015
-"""Of any velocity reading, half a count of 0.024 rad/s and a little more [rad/s]."""
+"""Standard deviation of any velocity reading, half a count of 0.024 rad/s and a little more [rad/s]."""
 
 VELOCITY_LAG = 0.002
-"""How late a velocity reading is [s]: the expected time constant of the servo's filter."""
+"""Expected delay of a velocity reading [s]: the time constant of the servo's filter."""
 
 GYRO_LAG = 0.006
-"""How late a gyro's reading is [s], behind a low-pass of 40 Hz (register map of the MPU-9250)."""
+"""Delay of a gyro reading [s] behind a low-pass of 40 Hz (register map of the MPU-9250)."""
 
 EXCITED = 2.0
-"""Accelerations tell a lag from so many times on what noise of the velocities makes of them."""
+"""A lag is estimated if accelerations exceed this multiple of what noise of the velocities causes."""
 
 LONGEST_LAG = 0.02
-"""Velocity readings are at most so late [s]."""
+"""Largest delay of velocity readings [s]."""
 
 PREROLL = 4
-"""Ticks before a window in which the joints are led along the measurement."""
+"""Ticks before a window in which the joints are guided along the measurement."""
 
 CHANNELS = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 """What is compared."""

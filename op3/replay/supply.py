@@ -11,19 +11,19 @@ import numpy as np
 from op3.replay.smoothing import SmoothLog
 
 EXPLAINED = 0.5
-"""Share of the changes of the voltage from tick to tick that the currents have to explain."""
+"""Share of the voltage's changes from tick to tick that the currents must explain."""
 
 HIGHEST = 1.5
-"""No supply of a robot has more inner resistance [ohm]."""
+"""Largest plausible internal resistance of a supply [ohm]."""
 
 STEADY = 0.25
-"""Without current a supply changes slowly: its voltage is a mean over so long to each side [s]."""
+"""Time to each side over which the open-circuit voltage, which changes slowly, is averaged [s]."""
 
 ROUNDED = 0.1
 """Unit of a servo's voltage where its make is not known [V]: that of all makes in `assets/servos`."""
 
 TELLING = 0.2
-"""A voltage whose changes stay below this does not tell a resistance [V]."""
+"""Smaller changes of the voltage do not determine a resistance [V]."""
 
 
 def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:

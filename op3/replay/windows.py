@@ -26,8 +26,8 @@ from op3.sim.held_base import FixedBase, PendulumBase, fixed_base
 from op3.sim.window_simulation import MISREADING, ZERO
 
 LENGTHS = {"stand": 0.2, "pendulum": 0.8}
-"""Length of a window by what holds the base [s]. A limb soon leaves what was measured. A bench's arm does not, and is
-light: in 0.2 s sensors leave 1.4 to 1.9 hundredths of its torque open (STS3032, XL330), of a robot's 0.1 to 0.5."""
+"""Length of a window by what holds the base [s]. A limb soon diverges from the measurement. A bench's arm does not, but
+is light: in 0.2 s its sensors resolve its torque to 1.4 to 1.9 % (STS3032, XL330), those of a robot to 0.1 to 0.5 %."""
 
 HELD = tuple(LENGTHS)
 """Mounts that hold the base."""
@@ -39,10 +39,10 @@ STEP = 0.001
 """Longest step of a simulation that is not stretched [s]; a tick is a whole number of steps."""
 
 SEARCH = 0.192
-"""Time within which a window starts where the state is known best [s]: not in the middle of a jerk."""
+"""Interval within which a window starts at the best known state [s], not in the middle of a jerk."""
 
 ZERO_STEP = 0.02
-"""Step of the differences by which the dynamics at a false zero of an encoder are known [rad]."""
+"""Finite-difference step of the dynamics for a wrong zero of an encoder [rad]."""
 
 Base = FixedBase | PendulumBase
 

@@ -19,13 +19,13 @@ PAGE, NUMBERS = "comparison.html", "comparison.yaml"
 
 QUANTITIES = NAMES["compared"]
 HIGHER = ("evaluation.", "probability")
-"""What is the better the higher it is."""
+"""Measures of which higher values are better."""
 
 MOST = 8
-"""Numbers that are compared of runs that have none of these."""
+"""Numbers that are compared if runs have none of these."""
 
 FOUND = ("parameters.", "normalised.")
-"""Beginnings of the keys of what was found."""
+"""Prefixes of the keys of identified parameters."""
 
 _STORES = ("hydra.sweep", "hydra.sweeper.storage", "hydra.sweeper.study_name", "hydra.run", "population")
 """Overrides that only say where a run stores things."""

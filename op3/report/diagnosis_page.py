@@ -20,10 +20,10 @@ from op3.report.tracks import SHOWN, predicted
 from op3.servo import Parameter, RobotModel, effect_class
 
 SHOWN_STAGES = {"given model": "given", "baseline fit": "before", "returned model": "after"}
-"""Names of the stages on a page, and in what a verdict shows."""
+"""Names of the stages on the page, and in a verdict."""
 
 COLOURS = dict(zip((*SHOWN_STAGES, "repeats"), (PALETTE[3], PALETTE[1], PALETTE[0], MUTED), strict=True))
-"""Of the stages, in every figure."""
+"""Colours of the stages in every figure."""
 
 
 def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], run: RunFolder) -> dict[str, Any]:

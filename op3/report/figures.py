@@ -100,4 +100,6 @@ def ranges_figure(
     dress(figure, 110 + 44 * len(names), margin=dict(l=280, r=24, t=48, b=48), hovermode="closest")
     titles = [f"{words(name)} [{unit_text(known[name].unit)}]" for name in names]
     figure.update_yaxes(range=[len(names) - 0.45, -0.55], tickvals=[*range(len(names))], ticktext=titles)
-    return figure.update_xaxes(range=[-0.02, 1.02], tickformat=".0%", title_text="place in the parameter's range [%]")
+    return figure.update_xaxes(
+        range=[-0.02, 1.02], tickformat=".0%", title_text="position in the parameter's range [%]"
+    )

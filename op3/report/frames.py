@@ -23,13 +23,13 @@ SIZE = (540, 540)
 """Height and width [pixel]."""
 
 BEHIND = 0.004
-"""How far a ghost is drawn behind where it is [m]."""
+"""Offset of a simulated overlay to the back [m]."""
 
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 
 LONGEST = 300.0
-"""After which a driver that has not drawn is given up [s]."""
+"""Time in which a driver must render a frame [s]."""
 
 
 class RenderError(RuntimeError):
@@ -53,16 +53,16 @@ def draw_frames(
     *,
     follow: bool = True,
     size: tuple[int, int] = SIZE,
-    ghosts: Sequence[Colour] = (),
+    overlays: Sequence[Colour] = (),
 ) -> NDArray[np.uint8]:
     """Draw states of a compiled scene, as pictures ``[frame, height, width, 3]``.
 
     Args:
         model: the scene.
-        qpos: ``[frame, nq]``; with ghosts ``[robot, frame, nq]``, the first one solid.
+        qpos: ``[frame, nq]``; with overlays ``[robot, frame, nq]``, the first one solid.
         follow: whether the camera goes with the trunk of a robot that is free.
         size: height and width [pixel].
-        ghosts: colour of each robot after the first.
+        overlays: colour of each robot after the first.
 
     Raises:
         RenderError: if no driver draws.
@@ -72,7 +72,7 @@ def draw_frames(
         place = Path(folder)
         mujoco.mj_saveModel(model, str(place / "model.mjb"), None)
         np.savez(place / "asked.npz", qpos=robots if robots.ndim == 3 else robots[None], follow=follow, size=size,
-                 ghosts=np.reshape(ghosts, (-1, 3)))  # fmt: skip
+                 overlays=np.reshape(overlays, (-1, 3)))  # fmt: skip
         for backend in backends():
             reason = _attempt(place, backend)
             if reason is None:
@@ -80,7 +80,7 @@ def draw_frames(
             said.append(reason)
     raise RenderError(
         f"MuJoCo cannot render here with {' or '.join(name or 'its default' for name in backends())} ({said[0]});"
-        " install an EGL driver (Debian: libegl1), or set MUJOCO_GL to what the machine has"
+        " install EGL (Debian: libegl1, libgl1), or set MUJOCO_GL to what the machine has"
     )
 
 
@@ -112,10 +112,10 @@ def camera_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjvCamera:
     return camera
 
 
-def add_ghost(model: mujoco.MjModel, data: mujoco.MjData, scene: mujoco.MjvScene, colour: Colour) -> None:
+def add_overlay(model: mujoco.MjModel, data: mujoco.MjData, scene: mujoco.MjvScene, colour: Colour) -> None:
     """Add what moves to a scene once more, of this colour and translucent, a little behind where it is.
 
-    So a ghost that agrees with the solid robot hides in it, and only where they differ it is seen.
+    So an overlay that agrees with the solid robot hides in it, and only where they differ it is seen.
     """
     first, camera = scene.ngeom, scene.camera[0]
     everything = (mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_DYNAMIC)
@@ -130,7 +130,7 @@ def _draw(place: Path) -> None:
     """Draw what `draw_frames` has written into a folder."""
     model, asked = mujoco.MjModel.from_binary_path(str(place / "model.mjb")), np.load(place / "asked.npz")
     solid, *others = asked["qpos"]
-    data, ghost = mujoco.MjData(model), mujoco.MjData(model)
+    data, overlay = mujoco.MjData(model), mujoco.MjData(model)
     data.qpos[:] = solid[0]
     mujoco.mj_kinematics(model, data)
     camera = camera_of(model, data)
@@ -147,10 +147,10 @@ def _draw(place: Path) -> None:
             if free:
                 camera.lookat[:2] = begin[:2] + state[:2] - solid[0, :2]
             renderer.update_scene(data, camera=camera)
-            for colour, states in zip(asked["ghosts"], others, strict=True):
-                ghost.qpos[:] = states[number]
-                mujoco.mj_kinematics(model, ghost)
-                add_ghost(model, ghost, renderer.scene, colour)
+            for colour, states in zip(asked["overlays"], others, strict=True):
+                overlay.qpos[:] = states[number]
+                mujoco.mj_kinematics(model, overlay)
+                add_overlay(model, overlay, renderer.scene, colour)
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
             renderer.render(out=frames[number])

@@ -1,4 +1,4 @@
-"""A log while it is being recorded: stretch by stretch, with what a model makes of the same commands as the ghost."""
+"""A log while it is being recorded: stretch by stretch, with what a model makes of the same commands as the overlay."""
 
 import time
 from collections.abc import Iterator
@@ -19,13 +19,13 @@ from op3.servo import RobotModel
 from op3.sim import model_for
 
 STRETCH, REACH = 1.0, 10.0
-"""How much is shown at once, and how long before its end the ghost has begun, at rest and where the robot was [s].
+"""Time shown at once, and how long before its end the overlay starts, at rest in the robot's pose [s].
 
-On its feet it begins with the stretch: commands alone do not keep it there for long.
+For a standing robot it starts with the time shown: open-loop commands do not keep it upright for long.
 """
 
 PATIENCE = (120.0, 6.0)
-"""Without a first row, and without another one, for so long [s] nothing more is awaited."""
+"""Time without a first row, and without a further row, after which following ends [s]."""
 
 
 class Growing:
@@ -63,7 +63,7 @@ def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks |
 
     Args:
         folder: a log, or the folder of a run with some, which share a clock; it may not be there yet.
-        model: of the ghost; the robot's own where None.
+        model: of the overlay; the robot's own where None.
     """
     known: dict[Path, Growing] = {}
     seen, last = False, time.monotonic()
@@ -111,13 +111,13 @@ def _tracks(log: Rollout, begin: float, end: float, model: RobotModel | str | No
 
 def summary_line(tracks: Tracks) -> str:
     """A stretch in a line: its time, the joint that differs most, and how far all of them are apart."""
-    measured, *ghosts = tracks.logs.values()
+    measured, *overlays = tracks.logs.values()
     joint, seconds = tracks.joint(), float(measured.array("time")[-1, 0])
     column = measured.joints.index(joint)
-    angles = [np.degrees(log.array("joint/position")[-1, column]) for log in (measured, *ghosts)]
+    angles = [np.degrees(log.array("joint/position")[-1, column]) for log in (measured, *overlays)]
     line = f"{seconds:7.1f} s  {words(joint)}: measured {angles[0]:.1f} deg"
-    if not ghosts:
+    if not overlays:
         return line
-    rows = min(measured.rows, ghosts[0].rows)
-    apart = np.abs(np.subtract(*(log.array("joint/position")[:rows] for log in (measured, ghosts[0])))).mean()
+    rows = min(measured.rows, overlays[0].rows)
+    apart = np.abs(np.subtract(*(log.array("joint/position")[:rows] for log in (measured, overlays[0])))).mean()
     return f"{line}, simulated {angles[1]:.1f} deg; all joints {1e3 * apart:.1f} mrad apart"

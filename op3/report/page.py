@@ -22,7 +22,7 @@ LIBRARY = "plotly.min.js"
 
 
 MOST_KEY_NUMBERS = 5
-"""Numbers that a command ends with: more are not read at a glance."""
+"""Largest number of key numbers at the end of a command."""
 
 
 class Page:
@@ -191,7 +191,7 @@ class Page:
         self._blocks.append({"kind": kind, "text": text, "count": count, **more})
 
     def _list(self, kind: str, name: str, text: str) -> None:
-        """Add to the list of films or files that the page ends with, or begin one."""
+        """Add to the list of videos or files that the page ends with, or begin one."""
         if not self._blocks or self._blocks[-1]["kind"] != kind:
             self._add(kind, items=[])
         self._blocks[-1]["items"].append((name, text))

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from op3.report.tracks import Tracks
-from op3.report.viewer import RATE, ghost_colours, lines_of
+from op3.report.viewer import RATE, lines_of, overlay_colours
 
 
 def record(tracks: Tracks, path: Path | None) -> Path | None:
@@ -30,7 +30,7 @@ def record(tracks: Tracks, path: Path | None) -> Path | None:
         path.parent.mkdir(parents=True, exist_ok=True)
         stream.save(path)
     model, states = tracks.scene.compile(), tracks.states(RATE)
-    colours = [None, *ghost_colours(tracks)]
+    colours = [None, *overlay_colours(tracks)]
     for label, colour, robot in zip(tracks.logs, colours, states, strict=True):
         _robot(rr, stream, model, f"robots/{label}", colour, robot)
     for joint in next(iter(tracks.logs.values())).joints:

@@ -13,13 +13,13 @@ INK = "#16181d"
 """Measured data, axes' text."""
 
 MUTED = "#6b7280"
-"""Ticks, commands, everything that is context."""
+"""Ticks, commands, context."""
 
 PALETTE = ("#0072b2", "#e07b00", "#009e73", "#aa4499", "#56b4e9", "#8a6d00")
-"""Colours of predictions by order, told apart with any colour vision (after Okabe & Ito 2008)."""
+"""Colours of predictions by order, distinguishable with any colour vision (after Okabe & Ito 2008)."""
 
 GRID, FRAME, SHADE, GROUND = "#eceef1", "#c6cad1", "#f1f3f6", "#ffffff"
-"""Grid lines, axes' lines, ranges and phases behind the data, and what is as the page itself."""
+"""Grid lines, axes' lines, ranges and phases behind the data, and the page's background."""
 
 _DARK = ("#e9ebee", "#a0a7b4", "#2b2f37", "#4a505b", "#262a32", "#1c1f25",
          "#4aa3df", "#f39a3d", "#2fc59a", "#d07fc4", "#9ad7fa", "#d0b03a")  # fmt: skip
@@ -32,7 +32,7 @@ MEASURED = "measured"
 COMMAND = "command"
 
 NAMES = yaml.safe_load((Path(__file__).parent / "templates" / "names.yaml").read_text(encoding="utf-8"))
-"""What pages and results call things, by kind; each is told in the file."""
+"""Names on pages and in results, by kind; the file explains each."""
 
 _WORDS = {"l": "left", "r": "right", "sho": "shoulder", "el": "elbow", "ank": "ankle", "com": "CoM"}
 

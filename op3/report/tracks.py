@@ -25,7 +25,7 @@ class Tracks:
     """One run of one robot, by who says how it went.
 
     Attributes:
-        logs: by label; the first one is drawn solid, the others are its ghosts.
+        logs: by label; the first one is drawn solid, the others are its overlays.
         scene: in which all of them are drawn.
         known: states ``[frame, nq]`` of the first at `known_rate` [Hz], where they are known better than a log tells.
         known_rate: of them.
@@ -51,10 +51,10 @@ class Tracks:
         return np.stack([one[np.minimum(np.arange(frames), len(one) - 1)] for one in found])
 
     def joint(self) -> str:
-        """The joint in which the first ghost differs most; of a robot alone, the one that moves most."""
-        first, *ghosts = (log.array("joint/position") for log in self.logs.values())
-        rows = min(len(first), *(len(ghost) for ghost in ghosts)) if ghosts else len(first)
-        apart = first[:rows] - (ghosts[0][:rows] if ghosts else first.mean(0))
+        """The joint in which the first overlay differs most; of a robot alone, the one that moves most."""
+        first, *overlays = (log.array("joint/position") for log in self.logs.values())
+        rows = min(len(first), *(len(overlay) for overlay in overlays)) if overlays else len(first)
+        apart = first[:rows] - (overlays[0][:rows] if overlays else first.mean(0))
         return next(iter(self.logs.values())).joints[int(np.nanargmax(np.square(apart).mean(0)))]
 
 

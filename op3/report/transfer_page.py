@@ -34,7 +34,7 @@ def report_transfers(
     Args:
         transfers: first attempt first.
         learned: between them.
-        run: where it is kept; links and films are relative to it.
+        run: where it is kept; links and videos are relative to it.
         asked: task, world, condition and budget.
         seconds: duration of every stage [s].
         processor_seconds: time of all processors spent on every stage [s].

@@ -1,4 +1,4 @@
-"""Short films of a robot, simulated or as its log tells."""
+"""Short videos of a robot, simulated or from a log."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -86,7 +86,7 @@ TILTED = np.radians(12.0)
 
 
 def states_of_log(log: Rollout, scene: Scene, rate: float) -> np.ndarray:
-    """A robot's states as its encoders and IMU tell them, for `film`.
+    """A robot's states from its encoders and IMU, for `film`.
 
     A log does not know where a robot on its feet is: it is put such that the middle of its soles stays where it began,
     and a board lies under them as they do. Good for looking at, not for measuring.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from op3.report.frames import add_ghost, camera_of, draw_frames
+from op3.report.frames import add_overlay, camera_of, draw_frames
 from op3.report.style import COMMAND, GRID, GROUND, INK, MUTED, PALETTE, words
 from op3.report.tracks import Tracks
 from op3.rollout import Rollout
@@ -122,7 +122,7 @@ def _font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
-def ghost_colours(tracks: Tracks) -> list[tuple[float, float, float]]:
+def overlay_colours(tracks: Tracks) -> list[tuple[float, float, float]]:
     """Colours of all robots but the first, those of their lines."""
     return [rgb(colour) for _, colour in zip(list(tracks.logs)[1:], PALETTE, strict=False)]
 
@@ -134,7 +134,7 @@ def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> It
         RenderError: if nothing can be drawn here.
     """
     rate, strip = RATE / speed, Strip(tracks, joint)
-    frames = draw_frames(tracks.scene.compile(), tracks.states(rate), size=PICTURE, ghosts=ghost_colours(tracks))
+    frames = draw_frames(tracks.scene.compile(), tracks.states(rate), size=PICTURE, overlays=overlay_colours(tracks))
     for number, frame in enumerate(frames):
         yield np.concatenate([frame, strip.at(number / rate)], axis=1)
 
@@ -184,7 +184,7 @@ def window(stretches: Iterable[Tracks | None], joint: str | None = None, speed: 
     if tracks is None:
         raise ValueError("there is nothing to show: no log was started in this folder")
     model = tracks.scene.compile()
-    data, ghost, player = mujoco.MjData(model), mujoco.MjData(model), Playback(tracks.duration, speed=speed)
+    data, overlay, player = mujoco.MjData(model), mujoco.MjData(model), Playback(tracks.duration, speed=speed)
     states, strip = tracks.states(RATE), Strip(tracks, joint)
     data.qpos[:] = states[0, 0]
     mujoco.mj_forward(model, data)
@@ -205,10 +205,10 @@ def window(stretches: Iterable[Tracks | None], joint: str | None = None, speed: 
                 data.qpos[:] = states[0, row]
                 mujoco.mj_forward(model, data)
                 handle.user_scn.ngeom = 0
-                for colour, robot in zip(ghost_colours(tracks), states[1:], strict=False):
-                    ghost.qpos[:] = robot[row]
-                    mujoco.mj_kinematics(model, ghost)
-                    add_ghost(model, ghost, handle.user_scn, colour)
+                for colour, robot in zip(overlay_colours(tracks), states[1:], strict=False):
+                    overlay.qpos[:] = robot[row]
+                    mujoco.mj_kinematics(model, overlay)
+                    add_overlay(model, overlay, handle.user_scn, colour)
             image, place = strip.at(player.seconds), handle.viewport
             if place is not None and place.width > PLOTS[1] and place.height > PLOTS[0]:
                 right = mujoco.MjrRect(place.width - PLOTS[1], place.height - PLOTS[0], PLOTS[1], PLOTS[0])

@@ -15,7 +15,7 @@ Content = TypeVar("Content", bound="Record")
 
 
 Real = Annotated[float, Field(strict=True)]
-"""A number, and no text or truth value that could be read as one."""
+"""A number; texts and truth values are refused."""
 
 
 class Record(BaseModel):

@@ -24,18 +24,19 @@ from op3.robot.robot_file import RobotFile, slide_of
 USED, REPLACED, IGNORED = "used", "replaced by the servo model", "ignored"
 
 _ROTOR = (0.1, 0.0025)
-"""Radius [m] and mass [kg] of the sphere, which nobody sees, that a servo of a slide turns: little beside a geared
-motor's inertia, and enough for its equality, which is the softer the lighter the hinge is."""
+"""Radius [m] and mass [kg] of the invisible sphere that the servo of a slide turns: small beside a geared motor's
+inertia, and large enough for the equality, which becomes softer with a lighter hinge."""
 
 _FIRM = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of the equality that moves a slide, MuJoCo's largest: it adds the inverse inertias of hinge and slide as if
-one moved the other by as much [rad, m], which makes the usual one soft."""
+"""Impedance of the equality that moves a slide, MuJoCo's largest: it adds the inverse inertias of hinge and slide
+without regard to the ratio [m/rad], so MuJoCo's default is soft.
+"""
 
 _STIFF = (0.002, 1.0)
 """Time constant [s] and damping ratio of the equality that couples a joint."""
 
 Followed = dict[str, tuple[str | None, float, float]]
-"""By joint: the one that it follows (None: it is held), ratio and offset."""
+"""By joint: the joint that it follows (None: it is held), ratio and offset."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _log = logging.getLogger("op3.robot")
 
 DEFAULT = "op3"
-"""The robot that is meant where the user of a command, or a log of the first format, names none."""
+"""Default robot of commands and of logs in the first format."""
 
 
 class Robot:

@@ -18,13 +18,13 @@ from op3.robot.data_file import DataFile, Real, Record, among
 from op3.robot.servo_make import Loop, ServoMake, load_servo, servo_files
 
 FORMAT = "op3-robot/1"
-"""Version of a robot file's form."""
+"""Version of the format of robot files."""
 
 ANGLES: Mapping[str, float | None] = {"rad": 1.0, "deg": pi / 180, "turn": 2 * pi, "count": None}
 """Units of a log's angles [rad]; that of a count is the encoder's."""
 
 ADJUSTABLE = ("mass", "center_of_mass_x", "center_of_mass_y", "center_of_mass_z")
-"""What a robot's parameters may set of a body."""
+"""Properties of a body that a robot's parameters may set."""
 
 BOARD_ID = 200
 """Bus id of an OpenCR."""
@@ -104,7 +104,7 @@ class Unpowered(Record):
     @model_validator(mode="after")
     def _one(self) -> Unpowered:
         if sum(value is not None for value in (self.passive, self.coupled, self.held)) != 1:
-            raise ValueError("must say one of passive: true, coupled and held")
+            raise ValueError("must have one of passive: true, coupled and held")
         return self
 
 

@@ -18,10 +18,10 @@ CLEARANCE = 0.005
 
 LARGEST_OVERLAP = 0.002
 """Depth to which collision shapes may enter each other [m]: more than three times what two legs that meet at stall
-current reach in simulation, 0.6 mm, so that deeper is no contact but a pose that a robot cannot take."""
+current reach in simulation, 0.6 mm, so that a deeper overlap is not a contact but an impossible pose."""
 
 LARGEST_OVERLAP_AHEAD = 0.01
-"""The same of poses that are still to come, by the measured speeds or by the commands [m]. The shipped walk, whose
+"""The same limit for poses predicted from measured speeds or from commands [m]. The shipped walk, whose
 feet pass each other within 2 mm, gets to 5.3 and 6.6 mm on two layers of bricks. One whose legs are sent through each
 other gets to 11 and 50 mm."""
 

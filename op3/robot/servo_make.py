@@ -41,7 +41,7 @@ TO_SI: Mapping[str, tuple[str, Callable[[float], float]]] = {
         )
     },
 }
-"""Units in which a servo file gives numbers, the SI unit of each, and what makes SI of them."""
+"""Units of servo files, the SI unit of each, and the factor to it."""
 
 Loop = Literal["current", "firmware"]
 

@@ -30,10 +30,10 @@ from op3.rollout.validate import check_time, holes
 SHARED = "columns.yaml"
 
 HELD = 0.25
-"""Time for which commands go on behind their last one [s]: the robot is told nothing new while it comes to rest."""
+"""Time for which the last command is held after its time stamp [s]: the robot comes to rest without a new one."""
 
 _BLANK = 0.05
-"""Share of blank cells up to which a measured column has lost some, and was not stamped apart."""
+"""Share of blank cells up to which a measured column counts as incomplete; beyond it, it has times of its own."""
 
 Columns = dict[str, np.ndarray]
 """By column of the wide CSV, [time]."""
@@ -316,7 +316,7 @@ def _mend(columns: Columns, side: Side) -> None:
                 remedy = rename(name, known, f"write some of {', '.join([*known][:20])}")
                 raise LogError(f"{name} is not in the log", remedy, source=side.source, column=f"field {option}")
     if none := next((name for name, scale in options.scale.items() if scale == 0), None):
-        problem = "a scale of 0 leaves nothing of it"
+        problem = "a scale of 0 removes every value"
         raise LogError(problem, "leave the column out", source=side.source, column=f"field scale.{none}")
     if wide := next((joint for joint, angle in options.shift.items() if abs(angle) > 4 * np.pi), None):
         problem = f"{options.shift[wide]:g} rad is over two turns, as if it were in degrees"

@@ -64,7 +64,7 @@ def read_episodes(
     asked = [name for name, value in (options or {}).items() if value not in (None, False)]
     for found in reader_of(path).read(path):
         if isinstance(found, Rollout) and asked:
-            problem = f"a rollout folder is read as it is, and {asked[0]} changes nothing of it"
+            problem = f"a rollout folder is read unchanged, and {asked[0]} does not apply to it"
             raise LogError(problem, "import the log that it was made from, or leave the option out", source=path)
         logs += roll_out(found, read_side(path, options, proposed), path) if isinstance(found, Recording) else [found]
     if not logs:
@@ -127,7 +127,9 @@ def reader_of(path: Path) -> Reader:
     reader = _claiming(path) if path.exists() else None
     if reader is None:
         problem = (
-            f"no {METADATA_FILE} in this folder" if path.is_dir() else f"the ending {path.suffix!r} is not a log's"
+            f"no {METADATA_FILE} in this folder"
+            if path.is_dir()
+            else f"the ending {path.suffix!r} is not that of a log"
         )
         if not path.exists():
             there = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []

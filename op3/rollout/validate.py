@@ -19,7 +19,7 @@ GAP_INTERVALS, GAP = 10.0, 0.15
 """A hole is an interval of so many usual ones that is at least so long [s]."""
 
 INSTANT = 1e-9
-"""No two rows are so near each other in time [s]: rates between them would be no numbers."""
+"""Smallest time between two rows [s]: below it, rates are not finite."""
 
 
 def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Metadata) -> None:

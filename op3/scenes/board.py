@@ -37,7 +37,7 @@ TILT = np.deg2rad(6.0)
 WAVE_FREQUENCIES = (0.1, 0.8)
 """Range of the frequencies of the random waves [Hz]; ours, the paper gives none.
 
-What is learned must cover how fast a board may move: with waves of up to 0.6 Hz two of three policies fell when a
+Training must cover the fastest motion of a board: with waves of up to 0.6 Hz two of three policies fell when a
 weight tipped the board.
 """
 

@@ -190,7 +190,7 @@ def build_scene(
     if name != "stand" and (tilt_roll or tilt_pitch):
         raise ValueError(f"only the scene 'stand' can be tilted, got tilt_roll and tilt_pitch for {name!r}")
     if name != "stand" and joints is not None:
-        raise ValueError(f"only the scene 'stand' can leave limbs out, got joints for {name!r}")
+        raise ValueError(f"only the scene 'stand' can omit limbs, got joints for {name!r}")
     if name == "bench":
         return build_bench()
     if name == "stand":

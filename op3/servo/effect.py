@@ -36,7 +36,7 @@ class Stage(IntEnum):
 
 
 type_hints = cache(get_type_hints)
-"""Types of a class' fields: they are read from text, which takes longer than all else that makes an effect."""
+"""Types of a class's fields, cached: resolving them takes longer than everything else in building an effect."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class ModelEdit:
 
 
 Scope = Literal["robot", "shared", "joint", "side"]
-"""Who has an effect: the whole robot, all joints alike, one joint, or the joints of one side."""
+"""Scope of an effect: the whole robot, all joints equally, one joint, or the joints of one side."""
 
 
 class Effect:

@@ -22,7 +22,7 @@ from op3.servo.machine_code import part
 from op3.servo.signals import SIGNALS, Periods
 
 BITS = 62
-"""Effects per number that switches them."""
+"""Effects per bit mask."""
 
 HOOKS = ("prepare", "reset", "sense", "tick", "begin", "apply", "finish", "motor_side", "report", "balance")
 """Functions that an effect may have."""
@@ -41,7 +41,8 @@ RUNNERS: Mapping[str, tuple[str, str, Iterable[Stage]]] = {
     "motor_side": ("motor_side", "s, p", Stage),
     "report": ("report", "s, p", Stage),
 }
-"""What is run of all effects in turn; ``balance``, which goes backwards and hands on a torque, stands apart."""
+"""Functions that run for all effects in order; ``balance``, which runs backwards and passes on a torque, is separate.
+"""
 
 
 @dataclass(frozen=True, eq=False)

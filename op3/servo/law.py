@@ -11,10 +11,10 @@ import numpy as np
 from op3.servo.machine_code import scalar
 
 ROUNDING = 1e-9
-"""Share of a step that is none: a latency of whole steps arrives between two."""
+"""Share of a step that counts as zero, so that a latency of whole steps arrives between two steps."""
 
 CURRENT = 0
-"""Place of the target current in the lists of signals that can be late, lag or be lost."""
+"""Index of the target current in the lists of signals that can be late, lag or be lost."""
 
 GAUSSIAN, LORENTZ = 1, 2
 """Places of these fades of static friction in their list, which an exponential begins."""

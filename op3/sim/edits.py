@@ -13,7 +13,7 @@ from op3.servo.effects import LinkInertia, Motor
 from op3.sim.ports import ServoPorts
 
 ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
-"""Changes that need no MuJoCo: of the rotor's inertia, on the diagonal of the mass matrix, and of a link's own."""
+"""Changes that need no MuJoCo: the rotor's inertia, on the diagonal of the mass matrix, and a link's own inertia."""
 
 
 def edited_fields(

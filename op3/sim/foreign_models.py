@@ -56,7 +56,7 @@ _BAM: Mapping[str, Mapping[str, str]] = {
 """BAM's names of parameters, by effect."""
 
 _FADES = {1.0: "exponential", 2.0: "gaussian"}
-"""How friction fades from rest, by BAM's exponent."""
+"""Form in which friction fades from rest, by BAM's exponent."""
 
 
 def expressed(model: RobotModel, to: str) -> tuple[RobotModel, tuple[str, ...]]:

@@ -9,10 +9,10 @@ from torch import Tensor
 from op3.servo import RobotModel, Signals
 
 COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enable", "bus_voltage", "temperature")
-"""Inputs of the servo law that are held from tick to tick."""
+"""Inputs of the servo law that are held between ticks."""
 
 REFERENCE_TEMPERATURE = 25.0
-"""Of servos whose temperature is not known [C]: that at which a model's parameters hold."""
+"""Temperature assumed where none is measured [C]: a model's parameters hold at it."""
 
 
 def fresh_start(signals: Signals, model: RobotModel, rows: Any = slice(None)) -> None:

@@ -10,13 +10,13 @@ from op3.servo import Effect, Estimate, RobotModel, effect_class
 from op3.sim.model_file import load_model
 
 LATENCY = 0.006
-"""From sensors to torque [s]; the paper is silent."""
+"""Initial latency from sensors to torque [s]; the paper gives none."""
 
 COULOMB, STATIC_EXCESS, VISCOUS = 0.03, 0.02, 0.03
-"""Friction at start, as shares of the stall torque (the viscous one at the speed without load)."""
+"""Initial friction as shares of the stall torque (viscous friction at the no-load speed)."""
 
 EFFICIENCY = 0.8
-"""Of the gear against the load at start; middle of the paper's range."""
+"""Initial backward efficiency of the gear; middle of the paper's range."""
 
 
 def servo_model(robot: Robot) -> RobotModel:

@@ -32,10 +32,10 @@ from op3.sim.trajectories import TrajectoryDynamics
 from op3.sim.window_steps import INPUTS, MOTION, SLOTS, STATE, coupled, simulate
 
 ZERO = EncoderOffset.parameters[0].name
-"""The parameter by whose unit the change is told where a joint stands elsewhere than its reading says."""
+"""The dynamics are differentiated by this parameter where a joint's true angle differs from its reading."""
 
 MISREADING = (EncoderOffset.name, EncoderNonlinearity.name)
-"""Effects by which joints do."""
+"""Effects that cause such a difference."""
 
 
 @dataclass(frozen=True, eq=False)

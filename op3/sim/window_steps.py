@@ -15,12 +15,12 @@ from op3.servo.machine_code import entry, part
 from op3.sim.inputs import COMMANDS
 
 INPUTS = (*COMMANDS, "packet")
-"""Signals that a motion may bring."""
+"""Signals that a motion may contain."""
 
 STATE = ("position", "velocity", "acceleration", "read_position", "read_velocity", "radial_force", "current", "time")
 
 MOTION = np.dtype([(name, np.float64) for name in (*STATE, *INPUTS)])
-"""What is known of a joint at a tick."""
+"""Measured and commanded signals of a joint at a tick."""
 
 SWEEPS = 3
 """Sweeps over the joints per step."""
@@ -30,8 +30,8 @@ REST = 0.03
 
 SHIFT, ACCOUNTED, AWAY, FASTER, CHANGE, TOTAL, FORCE, BOUND, OWN, SPEED, ACCELERATION, ROOMS = range(12)
 SLOTS = ROOMS + 2
-"""Rooms of a window: how far joints stand from their readings and how far the dynamics know; how far they are from the
-measurement; the change of velocity; what a step solves; the acceleration."""
+"""Slots of a window's work array: offset of joints from their readings, and the part that the dynamics include;
+distance from the measurement; change of velocity; unknowns of a step; acceleration."""
 
 
 @part

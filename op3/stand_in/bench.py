@@ -20,7 +20,7 @@ VERDICT_FILE = "verdict.yaml"
 LOG_FILE = "diagnose.log"
 COST_FILE = "cost.yaml"
 SETS: tuple[str, ...] = ("development", "test")
-"""Sets of cases with seeds of their own; constants are chosen on the first, the second is opened once a release."""
+"""Sets of cases with separate seeds; constants are chosen on the first, the second is opened once per release."""
 
 
 def draw_mix(

@@ -31,7 +31,7 @@ from op3.stand_in.suites import SETTINGS, Setting
 from op3.stand_in.world import BENCH_RANGES, HiddenWorld, Ranges
 
 CASE_KINDS: tuple[str, ...] = ("single", "pair", "null", "outsider", "poor")
-"""One catalogue effect; two; none; something no catalogue holds; one effect seen by a poor excitation only."""
+"""One catalogue effect; two; none; an out-of-catalogue effect; one effect with a poor excitation."""
 
 TEST_SEEDS = 1_000_000
 """First seed of the test set."""
@@ -44,7 +44,7 @@ CASE_FILE = "case.yaml"
 SEAL_FILE = "answers.sha256"
 
 OTHER_FORM_SHARE = 1 / 3
-"""Share of cases in which what is hidden takes another form than usual."""
+"""Share of cases in which the hidden effect has an unusual form."""
 
 LESS_SHARE = 0.3
 """Share of cases, beyond those that hide one of `BASES`, whose robot lacks one of them and whose base model too, so

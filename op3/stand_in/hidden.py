@@ -15,7 +15,7 @@ BASES: dict[str, str] = {
     "stribeck": "paper_without_stribeck",
     "latency": "paper_without_latency",
 }
-"""The model that lacks an effect which the model `paper` has."""
+"""The model without an effect that the model `paper` includes."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ KINDS: dict[str, Kind] = {
 """Everything the bench can hide."""
 
 OUTSIDERS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.outsider)
-"""Names of what no catalogue holds."""
+"""Names of out-of-catalogue effects."""
 
 CATALOGUE: tuple[str, ...] = tuple(name for name in KINDS if name not in OUTSIDERS)
 """Names that a diagnosis can give."""
@@ -59,7 +59,7 @@ ALIAS_PAIRS: tuple[tuple[str, str], ...] = (
     ("link_mass", "link_com"),
     ("stribeck", "lugre"),
 )
-"""Effects that look alike; half of the cases with two effects hide such a pair."""
+"""Effects with similar signatures; half of the cases with two effects hide such a pair."""
 
 
 @dataclass(frozen=True)

@@ -303,4 +303,4 @@ _WRITERS: dict[str, Writer] = {
     "ageing": _with("ageing", {}),
     "dropout": _with("dropout", {}),
 }
-"""What each effect writes into the records of the servos where it sits."""
+"""What each effect changes in the records of its servos."""

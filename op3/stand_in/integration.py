@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 TICK = 0.001
-"""Period of what changes slowly: noise, drift, voltage, temperature, and the servos' own velocity estimate [s]."""
+"""Period of slow updates: noise, drift, voltage, temperature, and the servos' own velocity estimate [s]."""
 
 REFERENCE_TEMPERATURE = 25.0
 """Temperature at which a world's numbers hold [C]."""
@@ -26,10 +26,10 @@ MEMORY = 64
 """Ticks of encoder readings that are kept for a velocity from differences."""
 
 STOP_STIFFNESS = 150.0
-"""Of the end stops of a joint [N m/rad]."""
+"""Stiffness of a joint's end stops [N m/rad]."""
 
 STOP_DAMPING = 0.5
-"""Of the same [N m s/rad]."""
+"""Damping of a joint's end stops [N m s/rad]."""
 
 _SERVO = """
 constant resistance armature current_lag late_stages late_time current_offset magnet_fading

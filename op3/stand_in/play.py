@@ -29,7 +29,7 @@ REST_TIME = 0.2
 """How long a robot stands still before a recording starts [s]."""
 
 PATIENCE = 3.0
-"""How long that is waited for [s]; a servo may hunt for ever around a reading."""
+"""Longest wait for that [s]; a servo may oscillate around a reading forever."""
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from op3.common.sample_intervals import wilson_interval
 from op3.stand_in.hidden import KINDS, SEVERITIES
 
 CONFIDENT = 0.8
-"""A stated probability beyond this that turns out wrong has misled somebody."""
+"""A wrong finding with a probability above this counts as confident and wrong."""
 
 NAMED = 0.5
 """A finding that is more likely than not is a name; others are hints, which count in the calibration alone."""
@@ -38,13 +38,13 @@ SAME: dict[str, str] = {"payload": "link_mass", "com_offset": "link_com"}
 """Names of effects of the trunk, and of the link effects that they mean in a joint."""
 
 BINS = 5
-"""Fifths of stated probability in which the calibration is told."""
+"""Bins of stated probability in the calibration table."""
 
 MISSING = "no_verdict"
-"""Claim of a case whose diagnosis failed."""
+"""Claim for a case whose diagnosis failed."""
 
 NOTHING = "nothing"
-"""Claim of a verdict that names nothing."""
+"""Claim for a verdict that names nothing."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from op3.stand_in.sensors import Imu, Sensors, quantise
 from op3.stand_in.world import HiddenWorld
 
 BOARD_EVERY = 8
-"""Ticks between two looks of a board's drive at its motion; in between the board follows it smoothly."""
+"""Ticks between two set points of a board's drive; the board moves smoothly in between."""
 
 Array = NDArray[np.float64]
 
@@ -380,7 +380,7 @@ _UNITS: dict[str, Callable[[ServoMake], float]] = {
     "voltage": lambda make: make.unit("voltage"),
     "temperature": lambda make: make.unit("temperature") if make.counts.temperature else 1.0,
 }
-"""One unit of every register, of servos that do not read a current or a temperature a fine one."""
+"""One unit of every register; a fine one for currents and temperatures that servos do not report."""
 
 
 def _whole(name: str, value: int) -> int:

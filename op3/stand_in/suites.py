@@ -156,4 +156,4 @@ SETTINGS: dict[str, Setting] = {
         partial(joint_suite, robot="arm", poor=True),
     ),
 }
-"""The whole OP3 in the stand and on its feet, its right leg alone, one servo with a pendulum, a six-joint arm."""
+"""The whole OP3 on the stand and on the floor, its right leg alone, one servo with a pendulum, a six-joint arm."""

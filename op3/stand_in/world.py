@@ -41,7 +41,7 @@ FORMS: dict[str, tuple[str, ...]] = {
 """Laws of which a world has one each."""
 
 Ranges = Mapping[str, Sequence[Any]]
-"""What numbers are drawn from: low and high, or the names of laws."""
+"""Ranges of numbers, low and high, or names of laws."""
 
 
 def read_ranges(path: str | Path | None = None) -> Ranges:
@@ -250,10 +250,10 @@ class HiddenWorld:
 
 
 RANDOM_RANGES: Ranges = read_yaml(Path(__file__).with_name("ranges.yaml"))["random"]
-"""What random worlds are drawn from, uniformly: the middle of the paper's Table I."""
+"""Ranges of random worlds, uniform: the middle of the paper's Table I."""
 
 BENCH_RANGES: Ranges = read_ranges()
-"""What the robots of the hidden-effect bench are drawn from."""
+"""Ranges of the robots of the hidden-effect bench."""
 
 
 def world_names() -> tuple[str, ...]:

@@ -13,7 +13,7 @@ SMALLEST_STD, LARGEST_STD = math.exp(-5.0), 2.7
 """Bounds of a policy's standard deviation, before tanh."""
 
 SMALLEST_SCALE = 0.01
-"""Floor of the scale of an observation, in its unit: what hardly moved yet is not blown up."""
+"""Floor of the scale of an observation, in its unit: numbers that have hardly changed yet are not amplified."""
 
 _LARGEST_INITIAL_ACTION = 0.97
 _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU, "tanh": nn.Tanh}

@@ -36,23 +36,23 @@ from op3.transfer.reidentified import Array, ParetoPoint, Reidentified, better_h
 from op3.transfer.returns import ReturnsBench
 
 PLAUSIBLE = 2.0
-"""Candidates whose excitation loss is more than so many times that of the start are not worth an episode."""
+"""Candidates whose excitation loss exceeds this multiple of the start's play no episode."""
 
 TRIED = 0.3
-"""Share of the episodes that every plausible candidate plays before it is decided which ones play the rest."""
+"""Share of the episodes that every plausible candidate plays before the better ones play the rest."""
 
 TOLERATED = 1.25
-"""The chosen candidate's excitation loss may be so many times that of the start. Those beyond play no more than the
+"""Largest excitation loss of the chosen candidate, as a multiple of the start's. Those beyond play no more than the
 first episodes until they turn out to be on the Pareto front."""
 
 DISTINCT = 0.01
 """Finalists differ by at least this share of what the trials span, in one parameter; generations breed clones."""
 
 CHANCE = 0.9
-"""A start whose distance is not beyond this quantile of what chance leaves has nothing to be improved by."""
+"""A start whose distance is below this quantile of the distances that chance causes is kept."""
 
 RISES = (0.1, 0.25, 0.6)
-"""How much the excitation loss of the first candidates is expected to be above that of the start, as shares of it."""
+"""Expected rise of the excitation loss of the first candidates above the start's, as shares of it."""
 
 
 class Simulations:

@@ -12,7 +12,7 @@ from op3.servo import RobotModel
 Array = NDArray[np.float64]
 
 PAIRS = 400
-"""Pairs of samples drawn to see what chance does."""
+"""Pairs of samples drawn for the distance that chance alone causes."""
 
 
 @dataclass(frozen=True)

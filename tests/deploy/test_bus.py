@@ -48,7 +48,7 @@ def test_a_refusal_names_the_device(rig):
 
 def test_the_writer_is_given_out_once(rig):
     """A second owner of the write handle is a mistake."""
-    with pytest.raises(RuntimeError, match="given out its writer"):
+    with pytest.raises(RuntimeError, match="already has a writer"):
         rig.bus.writer()
 
 

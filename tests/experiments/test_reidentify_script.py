@@ -71,7 +71,7 @@ def test_bad_input_is_named(given, tmp_path):
     for extra, sentence in (
         (["repeats=2.5"], "repeats must be a whole number, got 2.5"),
         (["finalists=-1"], "finalists must be at least 1, got -1"),
-        ([f"episodes={tmp_path / 'flat'}"], "all ended by voltage, which no simulation of the policy reproduces"),
+        ([f"episodes={tmp_path / 'flat'}"], "all ended because of voltage, which no simulation of the policy"),
     ):
         names = {argument.split("=")[0] for argument in extra}
         others = [argument for argument in (*arguments, *SMALL) if argument.split("=")[0] not in names]

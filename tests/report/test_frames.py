@@ -1,4 +1,4 @@
-"""Films of states: drawn where a driver is, refused in words where none is, and never the end of the process."""
+"""Videos of states: drawn where a driver is, refused in words where none is, and never the end of the process."""
 
 import sys
 

@@ -37,7 +37,7 @@ def record(log: Rollout, folder: Path) -> None:
 
 
 def test_stretches_follow_one_another_to_the_end(log, tmp_path, monkeypatch):
-    """Two seconds come as stretches that begin where the last one ended, each with its ghost; then it is over."""
+    """Two seconds come as stretches that begin where the last one ended, each with its overlay; then it is over."""
     monkeypatch.setattr(live, "PATIENCE", (60.0, 10.0))
     writer = threading.Thread(target=record, args=(log, tmp_path / "run" / "log"))
     writer.start()
@@ -77,7 +77,7 @@ def test_of_a_run_of_hours_only_the_last_seconds_are_held_and_none_is_read_twice
 
 
 def test_a_line_tells_the_joint_that_differs_most(log):
-    """A ghost whose left knee is 0.2 rad ahead, of twenty joints: 10 mrad in the mean."""
+    """A overlay whose left knee is 0.2 rad ahead, of twenty joints: 10 mrad in the mean."""
     knee, ahead = log.joints.index("l_knee"), {key: log.array(key).copy() for key in log.channels}
     ahead["joint", "position"][:, knee] += 0.2
     logs = {"measured": log, "simulated": Rollout.from_arrays(ahead, log.metadata)}
@@ -88,9 +88,9 @@ def test_a_line_tells_the_joint_that_differs_most(log):
 
 
 def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):
-    """Over a real terminal without a screen: a line per stretch while rows come in, and a film in the end."""
+    """Over a real terminal without a screen: a line per stretch while rows come in, and a video in the end."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "op3", "view", "run", "live=true", "out=film.mp4", "speed=8", "hydra.run.dir=view"]
+    command = [sys.executable, "-m", "op3", "view", "run", "live=true", "out=video.mp4", "speed=8", "hydra.run.dir=view"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(name, None)
@@ -102,7 +102,7 @@ def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):
         said += chunk
     assert b"deg; all joints" in said
     assert process.wait(60) == 0 or b"cannot render" in said, said
-    assert (tmp_path / "film.mp4").is_file() or b"cannot render" in said
+    assert (tmp_path / "video.mp4").is_file() or b"cannot render" in said
 
 
 def _read(terminal: int) -> bytes:

@@ -22,16 +22,16 @@ from tests.envs.holding import holding_bundle
 
 
 def arm_tracks(rows: int = 126, late: float = 0.3) -> Tracks:
-    """The six-joint arm swings its third joint by a radian in a second; its ghost ends early, and is late by that."""
+    """The six-joint arm swings its third joint by a radian in a second; its overlay ends early, and is late by that."""
     arm = load_robot("arm")
     time = 0.008 * np.arange(rows)
     position = np.tile(arm.home, (rows, 1))
     position[:, 2] += np.sin(np.pi / 2 * time)
     metadata = Metadata(arm.joints, "simulated", "stand", 125.0, robot_file="arm")
     arrays = {"time": time, "joint/position": position, "command/position": position}
-    ghost = position.copy()
-    ghost[:, 2] -= late
-    half = {key: value[: rows // 2] for key, value in {**arrays, "joint/position": ghost}.items()}
+    overlay = position.copy()
+    overlay[:, 2] -= late
+    half = {key: value[: rows // 2] for key, value in {**arrays, "joint/position": overlay}.items()}
     logs = {
         "measured": Rollout.from_arrays(arrays, metadata),
         "simulated": Rollout.from_arrays(half, replace(metadata, robot="simulated")),
@@ -39,13 +39,13 @@ def arm_tracks(rows: int = 126, late: float = 0.3) -> Tracks:
     return Tracks(logs, scene_of(logs["measured"]))
 
 
-def test_a_ghost_that_ends_early_stays_where_it_ended():
-    """One second at 25 frames is 26 frames; the ghost's half a second, 62 rows, has its last at 12/25 s, row 60."""
+def test_a_overlay_that_ends_early_stays_where_it_ended():
+    """One second at 25 frames is 26 frames; the overlay's half a second, 62 rows, has its last at 12/25 s, row 60."""
     tracks = arm_tracks()
     states = tracks.states(25.0)
     assert states.shape == (2, 26, 6)
-    ghost = tracks.logs["simulated"].array("joint/position")
-    np.testing.assert_array_equal(states[1, 12:], np.tile(ghost[60], (14, 1)))
+    overlay = tracks.logs["simulated"].array("joint/position")
+    np.testing.assert_array_equal(states[1, 12:], np.tile(overlay[60], (14, 1)))
 
 
 def test_the_joint_that_differs_most_is_plotted():
@@ -67,8 +67,8 @@ def test_the_cursor_is_where_the_time_is():
     assert {round(min(abs(column - x) for x in wanted) / 4) for column in changed} == {0}
 
 
-def test_a_ghost_is_seen_where_it_differs():
-    """A ghost in the same place hides in the solid robot; one that is off shows its colour."""
+def test_a_overlay_is_seen_where_it_differs():
+    """A overlay in the same place hides in the solid robot; one that is off shows its colour."""
     apart, alike = arm_tracks(), arm_tracks(late=0.0)
     model, red = apart.scene.compile(), [(1.0, 0.0, 0.0)]
     try:
@@ -77,7 +77,7 @@ def test_a_ghost_is_seen_where_it_differs():
         pytest.skip(f"no driver draws here: {error}")
     seen = []
     for tracks in (apart, alike):
-        drawn = draw_frames(model, tracks.states(25.0)[:, :1], size=(240, 240), ghosts=red)[0]
+        drawn = draw_frames(model, tracks.states(25.0)[:, :1], size=(240, 240), overlays=red)[0]
         seen.append(int((np.abs(drawn.astype(int) - bare).max(-1) > 40).sum()))
     assert seen[0] > 200
     assert seen[1] < 0.2 * seen[0]
@@ -129,7 +129,7 @@ def test_joints_that_a_log_lacks_are_at_home():
     assert states.shape == (1, 12, 12)
 
 
-def test_a_policy_on_its_feet_has_no_ghost(tmp_path):
+def test_a_policy_on_its_feet_has_no_overlay(tmp_path):
     """Its commands without what it felt make any simulation fall; a motion's do not."""
     log, told = simulate_motion(load_model("paper"), squat(duration=0.5), mount="floor"), []
     for rate in (None, 31.25):

@@ -165,7 +165,7 @@ def test_arrays_of_two_controllers_are_of_different_joints(tmp_path):
     assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])[:, columns]).max() < 0.03
     (tmp_path / "other").mkdir()
     filtered = [("/filtered/commands", ARRAY, BEGIN + t, array(0.9 * target(t)[0])) for t in TIME]
-    with pytest.raises(LogError, match="tell it, and differ; keep one of the topics"):
+    with pytest.raises(LogError, match="both publish it, with different values; keep one of the topics"):
         read(tmp_path / "other", states(), commands([0, 1, 2]), filtered)
 
 

@@ -388,7 +388,7 @@ def test_a_bag_of_two_sources(tmp_path):
     assert np.array_equal(
         relayed.array("joint/position"), read_log(tmp_path / "part" / "bag_sqlite3").array("joint/position")
     )
-    with pytest.raises(LogError, match=r"/r./joint_states and /r./joint_states tell it, and differ"):
+    with pytest.raises(LogError, match=r"/r./joint_states and /r./joint_states both publish it, with different values"):
         read_log(bag(tmp_path / "two", r1=same, r2=moved))
     with pytest.raises(LogError, match=r"shoulder.target, elbow.target are there, and none of these is of x, y"):
         read_log(bag(tmp_path / "names", arm=called_otherwise))

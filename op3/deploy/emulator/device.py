@@ -27,7 +27,7 @@ OPEN_CR_INSTRUCTIONS = (
     Instruction.SYNC_WRITE,
     Instruction.BULK_READ,
 )
-"""What the board understands."""
+"""Instructions that the board supports."""
 
 _IMU = slice(OPEN_CR["gyro_x"].address, OPEN_CR["yaw"].end)
 _VOLTAGE = OPEN_CR["present_voltage"].address

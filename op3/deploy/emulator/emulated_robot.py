@@ -32,10 +32,10 @@ from op3.deploy.registers import CURRENT_MODE, DYNAMIXEL_X, POSITION_ZERO, Hardw
 from op3.stand_in.sensors import Sensors
 
 USUAL_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
-"""EEPROM of a robot's servos where it differs from the factory's: 2 Mbit/s, no return delay."""
+"""EEPROM values of a robot's servos that differ from factory values: 2 Mbit/s, no return delay."""
 
 CHECK_PERIOD = 0.01
-"""How often servos look at their voltage and temperature [s] (inferred)."""
+"""Interval at which servos check their voltage and temperature [s] (inferred)."""
 
 _WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE)
 """Instructions that need no measurements; those that do ask for them."""

@@ -106,7 +106,7 @@ class Faults:
         for fault in self.scheduled:
             if not isinstance(fault, Scheduled):
                 kinds = ", ".join(kind.__name__ for kind in Scheduled.__args__)
-                raise ValueError(f"faults: what is scheduled is one of {kinds}; got {fault!r}")
+                raise ValueError(f"faults: a scheduled fault must be one of {kinds}; got {fault!r}")
 
     @property
     def spoiling(self) -> float:

@@ -24,10 +24,12 @@ FAST_GAP = 5e-6
 """Pause between devices in a fast read [s] (inferred)."""
 
 LONGEST_FAST = 0xFFFF - 1
-"""Bytes that devices can put into one fast status packet; the length field has 16 bits. To more, nobody answers."""
+"""Bytes that devices can put into one fast status packet; the length field has 16 bits. A larger request gets no
+answer.
+"""
 
 LEVELS: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
-"""The least status return level at which an instruction is answered; of all others 2."""
+"""Lowest status return level at which an instruction is answered; 2 for all others."""
 
 Answer = tuple[float, bytes]
 """Pause before an answer [s], and its bytes."""

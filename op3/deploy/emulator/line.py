@@ -98,7 +98,7 @@ def read_frames(path: str | Path) -> list[Frame]:
 
 
 Answers = Callable[[Packet, float], list[tuple[float, bytes]]]
-"""Handles an instruction that ends at a time [s]: the pauses before the answers [s], and the answers."""
+"""Handles an instruction that ends at a time [s]; returns the pauses before the answers [s], and the answers."""
 
 
 class Line:

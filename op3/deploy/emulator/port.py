@@ -8,7 +8,7 @@ from serial import SerialException
 from op3.deploy.emulator.emulated_robot import EmulatedRobot
 
 POLL = 5e-5
-"""How long a look at an empty port takes where nothing tells what is waited for [s]."""
+"""Virtual time that a poll of an empty port takes if the expected length is unknown [s]."""
 
 
 class VirtualPort(PortHandler):

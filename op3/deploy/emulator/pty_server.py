@@ -14,7 +14,7 @@ import tty
 from op3.deploy.emulator.emulated_robot import EmulatedRobot
 
 PATIENCE = 0.002
-"""Longest wait before the world is brought up to the wall clock [s]."""
+"""Longest interval between synchronisations with the wall clock [s]."""
 
 READ_SIZE = 4096
 """Bytes taken from the terminal at once."""

@@ -23,10 +23,10 @@ from op3.stand_in.sensors import Sensors, roll_pitch_yaw
 Array = NDArray[np.float64]
 
 SLOW_EVERY = 10
-"""Temperatures move on, and divergence is looked for, once in this many periods."""
+"""Periods between updates of temperatures and checks for divergence."""
 
 GROUND_EVERY = 8
-"""A board is driven once in this many periods, as in the environments."""
+"""Periods between updates of a board's motion, as in the environments."""
 
 AMBIENT = 28.0
 """Temperature of the air [C]."""
@@ -45,7 +45,7 @@ IMU_EVERY = 5
 
 
 BUS_EFFECTS = ("latency", "packet_drop")
-"""Effects that the emulated bus has by itself."""
+"""Effects that the emulated bus produces itself."""
 
 
 def behind_bus(model: RobotModel) -> RobotModel:

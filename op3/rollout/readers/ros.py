@@ -214,7 +214,9 @@ def _behind(name: str, other: str) -> bool:
 
 def _differ(topic: Topic, other: Topic, path: Path, column: str) -> LogError:
     remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
-    return LogError(f"{topic.name} and {other.name} tell it, and differ", remedy, source=path, column=column)
+    return LogError(
+        f"{topic.name} and {other.name} both publish it, with different values", remedy, source=path, column=column
+    )
 
 
 def _content(topic: Topic, names: list[str]) -> set[tuple[float, ...]]:

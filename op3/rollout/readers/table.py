@@ -143,6 +143,6 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
         raise LogError("there is no header, the first row holds numbers", remedy, row=1)
     for position, name in enumerate(header):
         if name in header[:position]:
-            remedy = "give every column a name of its own (a header of two rows is to be one, as `hip.position`)"
+            remedy = "give every column a name of its own (join a header of two rows into one, such as `hip.position`)"
             raise LogError("the column is there twice", remedy, column=name, row="header")
     return header, mark, open_end, lines
