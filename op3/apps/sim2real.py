@@ -179,7 +179,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
     if name not in cfg.budgets:
         raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
     if not 0 < cfg.criterion <= 10:  # beyond, somebody meant per cent
-        raise ValueError(f"criterion is a share of the promised return, 0.8 for 80 %, got {cfg.criterion}")
+        raise ValueError(f"criterion is a share of the expected return, 0.8 for 80 %, got {cfg.criterion}")
     if chosen("source") == "emulated":
         HiddenWorld.find(cfg.world, cfg.world_seed)
     load_model(cfg.conditions[cfg.condition].get("model", cfg.model))
@@ -197,7 +197,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
 
 
 def trained_on(cfg: DictConfig) -> str:
-    """The model that the given policy was trained on: what it promises is measured there.
+    """The model that the given policy was trained on, which gives its expected return.
 
     Raises:
         ValueError: if it is not to be had.
@@ -282,8 +282,8 @@ def diagnosed(
     verdict = yaml.safe_load((found / "verdict.yaml").read_text(encoding="utf-8"))
     returns = {name: verdict["downstream"][name]["mean"] for name in ("before", "after", "actual")}
     learned.named[number] = (
-        f"{verdict['sentence']} The failed policy is promised a return of {returns['before']:.3g} by the refitted model"
-        f" and of {returns['after']:.3g} by the diagnosed one; on the robot it had {returns['actual']:.3g}."
+        f"{verdict['sentence']} Expected return of the failed policy: {returns['before']:.3g} with the refitted"
+        f" model, {returns['after']:.3g} with the diagnosed model; {returns['actual']:.3g} on the robot."
     )
     return str(found / "model.yaml")
 
@@ -371,7 +371,7 @@ def report(
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Run all stages; a sweep maximises the share of the promised return that the robot reaches."""
+    """Run all stages; a sweep maximises the return on the robot as a share of the expected return."""
     folder = output_folder().absolute()
     with exit_code():
         values = loop(cfg, folder)

@@ -299,7 +299,7 @@ def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] =
         values = yaml.load(text, Loader=_Loader)
     except _Twice as error:
         key, first, line = error.args
-        problem = f"the key stands at line {first} and again at line {line}"
+        problem = f"the key is on line {first} and again on line {line}"
         raise raises(problem, "keep the one that is right", source=source, column=f"field {key}") from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1

@@ -131,7 +131,7 @@ def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
     known = model.parameters()
     if base not in known:
         raise ValueError(
-            f"group asks for {name!r}, but no effect of the model has it; effects on: {', '.join(model.effect_names)}."
+            f"groups contain {name!r}, but no effect of the model has it; effects on: {', '.join(model.effect_names)}."
             " Switch its effect on in the model, or leave the group out"
         )
     estimate, joint = model.estimate(base), condition and condition.joint

@@ -97,7 +97,7 @@ def _table(transfers: Sequence[Transfer]) -> TableRows:
     columns = {
         "round": [*range(len(transfers))],
         "training began with": [one.began_with for one in transfers],
-        "return promised [-]": [float(np.mean(one.expected)) for one in transfers],
+        "expected return [-]": [float(np.mean(one.expected)) for one in transfers],
         "return on the robot [-]": [float(np.mean(one.actual)) for one in transfers],
         "share [%]": [100 * one.share for one in transfers],
         "interval": [one.span for one in transfers],
@@ -115,7 +115,7 @@ def _films(folder: Path, transfers: Sequence[Transfer]) -> list[tuple[str, str]]
         worst = f"the worst episode, return {np.min(one.actual):.0f}; {one.falls} of {len(one.upright)} fall"
         for film, text in (
             (one.film, f"Round {i}, in simulation: mean return {np.mean(one.expected):.0f}."),
-            (one.robot_film, f"Round {i}, on the robot: {worst}; {100 * one.share:.0f} % of the return promised."),
+            (one.robot_film, f"Round {i}, on the robot: {worst}; {100 * one.share:.0f} % of the expected return."),
         ):
             if film is not None and film.exists():
                 films.append((str(film.relative_to(folder)), text))

@@ -11,7 +11,7 @@ from op3.report.style import NAMES, boxes_figure, words
 from op3.transfer.success_table import Transferred, last_transfer, transfer_rates
 
 FAILED = "failed.txt"
-"""File in the folder of a cell that could not be run: why."""
+"""File with the reason why a cell could not run."""
 
 PAGE, NUMBERS = "transfers.html", "transfers.yaml"
 
@@ -43,7 +43,7 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
         figures[task] = boxes_figure(shares, "return, robot over simulation [-]")
     columns = {"task": "task", "world": "robot", "condition": "trained on", "provenance.seed": "seed"}
     columns |= {"rounds": "learned from failures", "success": "success"}
-    last = {"expected": "promised", "actual": "on the robot", "upright": "upright"}
+    last = {"expected": "in simulation", "actual": "on the robot", "upright": "upright"}
     rows = [[*(cell[name] for name in columns), *(last_transfer(cell, k) for k in last)] for cell in cells]
     tables["cells"] = ([*columns.values(), *last.values()], rows)
     failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}

@@ -138,9 +138,9 @@ def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Col
     meanings: dict[str, Column] = {}
     taken: dict[str | None, str] = {}
     for name in names:
-        column = guess(name, joints) or Column(None, why="nothing in the name says what it is")
+        column = guess(name, joints) or Column(None, why="the name does not indicate a quantity")
         if column.name is not None and taken.setdefault(column.name, name) != name:
-            column = Column(None, why=f"{taken[column.name]!r} means the same already")
+            column = Column(None, why=f"{taken[column.name]!r} already has this meaning")
         meanings[name] = column
     placed = {name: place(column.name) for name, column in meanings.items() if column.name}
     groups = {name: known[1] for name, known in placed.items() if known and known[0].axes == "joint"}

@@ -189,7 +189,7 @@ def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, si
             continue
         assert column.name is not None
         if column.name in columns:
-            raise LogError("the column is there twice", "keep one of the two", column=column.name, row="header")
+            raise LogError("the column appears twice", "keep one of the two", column=column.name, row="header")
         if values.shape != stream.time.shape:
             problem = f"the column has {len(values)} rows and its clock {len(stream.time)}"
             raise LogError(problem, "record the file again, or export it whole", column=name)
@@ -232,7 +232,7 @@ def _unknown(name: str, position: int, side: Side) -> LogError:
     known = [column for c in CHANNELS.values() for column in column_names(c, joints, 1)]
     meant = guess(name, joints) if isinstance(joints, list) else None
     entry = f"{{name: {meant.name}, unit: {meant.unit}}}" if meant and meant.unit else str(meant and meant.name)
-    remedy = rename(name, known, "say what it is under `columns:` in the YAML")
+    remedy = rename(name, known, "define it under `columns:` in the YAML")
     if meant and meant.name in known:
         remedy = f"write `{name}: {entry}` under `columns:` in the YAML if that is meant"
     return LogError("unknown column", remedy + ", or remove the column", column=shown_name, row="header")
@@ -262,7 +262,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
     if not inside.any():
         each = " and ".join(f"{s.time[0]:.6g} to {s.time[-1]:.6g} s" for s in streams)
         remedy = "shift one of the clocks, by `offset:` of its time column, to a common start"
-        raise LogError(f"the clocks share no time: {each}", remedy, column="time")
+        raise LogError(f"the time ranges of the clocks do not overlap: {each}", remedy, column="time")
     time = first.time[inside]
     columns = {name: values[inside] for name, values in first.columns.items()}
     for stream in others:
@@ -272,7 +272,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
         measured = next((name for name in stream.columns if name.endswith(".position")), None)
         if measured and lost.any():
             gap = holes(stream.time)[0]
-            problem = f"it holds nothing from {stream.time[gap - 1]:.6g} to {stream.time[gap]:.6g} s, while others do"
+            problem = f"it has no value from {stream.time[gap - 1]:.6g} to {stream.time[gap]:.6g} s"
             raise LogError(problem, "leave this time out of all columns, or cut the log there", column=measured)
         for name, values in stream.columns.items():
             signal = np.where(lost, np.nan, np.interp(time, stream.time, values))
@@ -344,7 +344,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
             remedy += f", or add it to the joints in {side.source.name}"
             lacks = [n for n in column_names(channel, metadata.joints) if channel.required and n not in columns]
             if lacks:
-                remedy = f"say whose it is under `columns:` in the YAML, as in `<column>: {lacks[0]}`"
+                remedy = f"name its joint under `columns:` in the YAML, as in `<column>: {lacks[0]}`"
             raise LogError("unknown joint", remedy, column=name, row="header")
         if channel.axes == "vector":
             # as many as there are is enough to name one that is missing
@@ -361,8 +361,8 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
             others = [n for n in columns if (found := place(n)) and found[0] == channel and n not in wanted]
             if others and channel.required:
-                problem = f"{', '.join(others[:6])} are there, and none of these is of {', '.join(metadata.joints[:6])}"
-                remedy = f"say whose they are under `columns:` in the YAML, as in `<column>: {missing[0]}`"
+                problem = f"there are {', '.join(others[:6])}, but none belongs to {', '.join(metadata.joints[:6])}"
+                remedy = f"name their joints under `columns:` in the YAML, as in `<column>: {missing[0]}`"
             raise LogError(problem, remedy, column=missing[0], row="header")
     for name in ("firmware_gain", "p_gain", "d_gain"):
         if (gain := getattr(metadata, name)) is not None:

@@ -1,4 +1,4 @@
-"""What a policy promises in simulation and does on the robot, and the paper's criteria of success."""
+"""Returns of a policy in simulation and on the robot, and the paper's criteria of success."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -60,7 +60,7 @@ class Transfer:
         if self.walked is not None:
             said = f"{sum(self.walked)} of {len(self.walked)} episodes walk to their end{span}"
         else:
-            said = f"the robot reaches {100 * self.share:.0f} %{span} of the return that simulation promised"
+            said = f"the robot reaches {100 * self.share:.0f} %{span} of the expected return"
         way = f", {self.afterwards} of them on the way to the end pose" if self.afterwards else ""
         return said + (f", and falls in {self.falls} of {len(self.upright)} episodes{way}" if self.falls else "")
 

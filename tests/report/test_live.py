@@ -90,7 +90,17 @@ def test_a_line_tells_the_joint_that_differs_most(log):
 def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):
     """Over a real terminal without a screen: a line per stretch while rows come in, and a video in the end."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "op3", "view", "run", "live=true", "out=video.mp4", "speed=8", "hydra.run.dir=view"]
+    command = [
+        sys.executable,
+        "-m",
+        "op3",
+        "view",
+        "run",
+        "live=true",
+        "out=video.mp4",
+        "speed=8",
+        "hydra.run.dir=view",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(name, None)

@@ -16,7 +16,7 @@ def transfer(expected, actual, upright=(True,), walked=None):
 
 
 def test_balancing_succeeds_at_four_fifths():
-    """The mean return on the robot must reach 80 % of the promised one: 200 of 250 do, 199 do not."""
+    """The mean return on the robot must reach 80 % of the expected one: 200 of 250 do, 199 do not."""
     assert transfer([240.0, 260.0], [190.0, 210.0]).success
     assert not transfer([240.0, 260.0], [189.0, 209.0]).success
     assert transfer([240.0, 260.0], [190.0, 210.0]).share == pytest.approx(0.8)
@@ -43,7 +43,7 @@ def test_falls_on_the_way_to_the_end_pose_are_falls():
     assert one.interval == pytest.approx((0.761, 1.039), abs=1e-3)
     assert one.success
     assert not one.settled
-    said = "the robot reaches 90 % (95 %: 76 to 104 %) of the return that simulation promised"
+    said = "the robot reaches 90 % (95 %: 76 to 104 %) of the expected return"
     assert one.achieved == f"{said}, and falls in 3 of 4 episodes, 3 of them on the way to the end pose"
 
 
@@ -60,7 +60,7 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     """The page says how the last transfer ended, and names both shares; the numbers hold every transfer."""
     failed, good = transfer([250.0], [100.0], [False]), transfer([250.0], [240.0])
     text = told(tmp_path, [failed, good])
-    share = "the robot reaches {} % of the return that simulation promised"
+    share = "the robot reaches {} % of the expected return"
     at_first = f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}, and falls in 1 of 1 episodes."
     assert at_first in text
     assert "1 episodes decide instead of the paper" in text

@@ -178,7 +178,7 @@ def test_two_publishers_of_commands_are_found(tmp_path, angle, said):
         problem = f"{found.problem}; {found.remedy}"
     except LogError as error:
         problem = str(error)
-    assert "two publishers write it" in problem
+    assert "two programs publish it" in problem
     assert said in problem
     (tmp_path / "levels").mkdir()
     levels = np.outer(np.sign(np.sin(6 * TIME) + 1e-9), [0.3, 0.2, 0.25])
@@ -197,7 +197,7 @@ def test_zeros_of_a_second_publisher_are_left_out(tmp_path):
     assert np.array_equal(log.array("joint/position"), POSITION[: log.rows])
     assert [one.check for one in log.findings] == ["two publishers"]
     (tmp_path / "other").mkdir()
-    with pytest.raises(LogError, match=r"of /joint_states stand between others, far from them: two publishers"):
+    with pytest.raises(LogError, match=r"of /joint_states differ strongly from those before and after: two"):
         read(tmp_path / "other", states(), second(1.2), commands([0, 1, 2]))
 
 

@@ -87,7 +87,7 @@ def test_a_bag_carries_its_imu(tmp_path):
 def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
     """Degrees are known by an encoder's steps, and by the word of the user; else they may be normalised ones."""
     path = lerobot(tmp_path)
-    assert "normalised ones would look so too" in read_log(path).findings[0].problem
+    assert "normalised ones would be similar" in read_log(path).findings[0].problem
     side_path(path).write_text(as_yaml(*propose(path)))
     assert "# doubtful: numbers of up to 28.65 have no unit" in side_path(path).read_text()
     assert read_log(path).findings == ()
@@ -171,7 +171,7 @@ def test_normalised_numbers_without_their_ranges_are_refused(tmp_path):
     """Steps of another size in every joint are no degrees."""
     path = counted(tmp_path, "normalised", 0.08)
     (path / "calibration.json").unlink()
-    with pytest.raises(LogError, match="they are normalised to the joints' ranges, which nothing here says; copy"):
+    with pytest.raises(LogError, match="they are normalised to the joints' ranges, which are not given; copy"):
         read_log(path)
 
 
@@ -265,9 +265,9 @@ def test_velocities_of_a_dataset_in_degrees(tmp_path):
 @pytest.mark.parametrize(
     ("file", "change", "said"),
     [
-        ("info.json", lambda info: info.update(total_frames=10**4), "says 10000 frames, and the parquet files hold"),
+        ("info.json", lambda info: info.update(total_frames=10**4), "states 10000 frames, but the parquet files have"),
         ("info.json", lambda info: info.update(fps=17), "the metadata says rate: 17 Hz"),
-        ("info.json", renamed(action=["a.pos"]), "1 names stand there, and a row of action has 2 numbers"),
+        ("info.json", renamed(action=["a.pos"]), "1 names are given, but a row of action has 2 numbers"),
         ("*.parquet", lambda table: table.pop("episode_index"), "column episode_index: the column is missing"),
         ("calibration.json", lambda known: known.pop(JOINTS[0]), "the calibration does not have this joint"),
     ],
@@ -390,7 +390,7 @@ def test_a_bag_of_two_sources(tmp_path):
     )
     with pytest.raises(LogError, match=r"/r./joint_states and /r./joint_states both publish it, with different values"):
         read_log(bag(tmp_path / "two", r1=same, r2=moved))
-    with pytest.raises(LogError, match=r"shoulder.target, elbow.target are there, and none of these is of x, y"):
+    with pytest.raises(LogError, match=r"there are shoulder.target, elbow.target, but none belongs to x, y"):
         read_log(bag(tmp_path / "names", arm=called_otherwise))
 
 
@@ -428,7 +428,7 @@ def test_a_dataset_without_names(tmp_path):
     rewrite(path / "meta" / "info.json", lambda info: [info["features"][name].pop("names") for name in features])
     assert read_log(path).joints == ("joint_0", "joint_1")
     rewrite(path / "meta" / "info.json", lambda info: info["features"]["action"].update(names=["a.pos", "a.pos"]))
-    with pytest.raises(LogError, match=r"info.json, column action: the name 'a.pos' is there twice"):
+    with pytest.raises(LogError, match=r"info.json, column action: the name 'a.pos' appears twice"):
         read_log(path)
 
 
@@ -471,7 +471,7 @@ def test_a_joint_that_was_not_read_for_a_second(tmp_path):
     path = long_csv(tmp_path)
     rows = path.read_text().splitlines()
     path.write_text("\n".join(row for number, row in enumerate(rows) if "elbow" not in row or not 200 < number < 300))
-    with pytest.raises(LogError, match=r"column elbow.position: it holds nothing from 1.98 to 2.98 s"):
+    with pytest.raises(LogError, match=r"column elbow.position: it has no value from 1.98 to 2.98 s"):
         read_log(path)
 
 

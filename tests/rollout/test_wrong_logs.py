@@ -489,10 +489,10 @@ SIDES = {
     "grams": ("mass: 535\n", r"field mass: 535 kg cannot be; 535 g would be 0\.535 kg; write mass: 0\.535"),
     "millimetres": ("length: 150\n", r"field length: 150 m cannot be; 150 mm would be 0\.15 m"),
     "millivolts": ("battery: 7400\n", r"field battery: 7400 V cannot be; 7400 mV would be 7\.4 V"),
-    "a key twice in one line": ("extra: {a: 1, a: 2}\n", r"field a: the key stands at line \d+ and again"),
+    "a key twice in one line": ("extra: {a: 1, a: 2}\n", r"field a: the key is on line \d+ and again"),
     "two batteries": (
         "battery: 11.1\nbattery: 12\n",
-        r"field battery: the key stands at line \d+ and again at line \d+",
+        r"field battery: the key is on line \d+ and again on line \d+",
     ),
     "another robot": ("robot_file: op3\n", r"field joints: joint_0 is not a joint of op3"),
     "another gain": ("firmware_gain: 3\n", r"firmware_gain is 3 in the metadata and 32 in the column"),

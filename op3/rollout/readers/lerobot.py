@@ -64,14 +64,14 @@ class LeRobot:
             raise LogError("the dataset has no row", "record at least one episode", source=path / "data")
         promised = info.get("total_frames")
         if isinstance(promised, int) and len(time) < promised:
-            problem = f"info.json says {promised} frames, and the parquet files hold {len(time)}"
+            problem = f"info.json states {promised} frames, but the parquet files have {len(time)}"
             raise LogError(problem, "copy the missing files", source=path / "data")
         columns = {}
         for feature, prefix in _FEATURES.items():
             names = _names(info, feature, path)
             cell = table[feature][0]
             if isinstance(cell, list) and len(cell) != len(names):
-                problem = f"{len(names)} names stand there, and a row of {feature} has {len(cell)} numbers"
+                problem = f"{len(names)} names are given, but a row of {feature} has {len(cell)} numbers"
                 raise LogError(problem, "name every motor", source=path / "meta" / "info.json", column=feature)
             wide = numbers(table[feature], path / "data", feature, len(names))
             columns |= {prefix + _with_channel(name): wide[:, i] for i, name in enumerate(names)}
@@ -106,7 +106,7 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
         names = next(iter(names.values()))
     if isinstance(names, list):
         if twice := next((name for name in names if names.count(name) > 1), None):
-            problem, remedy = f"the name {twice!r} is there twice", "name every motor once"
+            problem, remedy = f"the name {twice!r} appears twice", "name every motor once"
             raise LogError(problem, remedy, source=path / "meta" / "info.json", column=feature)
         return [str(name) for name in names]
     shape = entry.get("shape")
@@ -244,18 +244,18 @@ def _body_unit(
         problem = (
             f"the numbers come in steps of {', '.join(f'{one:.3g}' for one in steps[:4])}, each joint in its own: "
         )
-        problem += "they are normalised to the joints' ranges, which nothing here says"
+        problem += "they are normalised to the joints' ranges, which are not given"
         remedy = "copy LeRobot's calibration file there as calibration.json"
         return "deg", "nothing else is known", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
     if "rad" in units:
         return "rad", "hardly a number is as large as a turn in radians", None
     problem = (
-        f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones would look so too"
+        f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones would be similar"
     )
     remedy = "say `unit: deg` under `columns:` in a YAML, or their size"
     if not ranges:
         remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"
-    why = "degrees, as nothing says what they are; numbers of -100 to 100 may be normalised to a range"
+    why = "degrees are assumed, since no unit is given; numbers of -100 to 100 may be normalised to a range"
     return "deg", why, LogFinding(WARNING, problem, remedy, check="unit of LeRobot")
 
 
@@ -293,14 +293,14 @@ def _units(
             meanings[name] = Column(column.name, span / 100, why="0 to 100 over the range of a gripper")
         elif joint in hands:
             low, high = float(columns[name].min()), float(columns[name].max())
-            meanings[name] = Column(column.name, "deg", why="nothing says the range of the gripper")
+            meanings[name] = Column(column.name, "deg", why="the range of the gripper is not given")
             if low >= 0 and high - low > 5 and not any("gripper's" in one.problem for one in doubts):
                 problem = f"a gripper's numbers of {low:.4g} to {high:.4g} are read as degrees; LeRobot's run from 0 to"
                 problem += " 100 over its range"
                 remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
                 doubts.insert(0, LogFinding(WARNING, problem, remedy, name, check="unit of LeRobot"))
         elif unit == "normalised" and not span:
-            problem = "the numbers are normalised to the joint's range, which nothing here says"
+            problem = "the numbers are normalised to the joint's range, which is not given"
             raise LogError(
                 problem, "copy LeRobot's calibration file there as calibration.json", source=path, column=name
             )

@@ -144,12 +144,12 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
             continue  # levels that are told in turn
         if np.abs(own - np.median(foreign, axis=0)).max() < near:
             continue  # it is there itself
-        problem = f"{other.sum()} of {len(values)} messages of {topic.name} stand between others, far from them: two "
-        problem += "publishers write it"
+        problem = f"{other.sum()} of {len(values)} messages of {topic.name} differ strongly from those before and"
+        problem += " after: two programs publish it"
         column = None if topic.is_array else topic.columns[0]
         if foreign.any():
             raise LogError(problem, "stop one of them, and record again", source=path, column=column)
-        remedy = "these are zeros and left out; stop the publisher that sends them"
+        remedy = "these are zeros and are ignored; stop the program that publishes them"
         doubts.append(LogFinding(WARNING, problem, remedy, column, check="two publishers"))
         gone = set(table[other, 1].tolist())
         for part in topics:
@@ -395,8 +395,8 @@ def _order(
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
     if not in_order and (chosen != number).any():
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
-        problem = f"{topic.name} sends numbers without names, which are taken for those of {order}, by which they "
-        problem += "follow, and not in the order of the states"
+        problem = f"{topic.name} sends numbers without names, which are assigned to {order}, since these"
+        problem += " joints follow them, not in the order of the states"
         remedy = "correct the names under `columns:` if that is wrong"
         doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)

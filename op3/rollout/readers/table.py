@@ -94,7 +94,7 @@ def _fault(said: str, header: list[str]) -> LogError:
         elif re.fullmatch(r"-?\d{1,3}([.,]\d{3})+[.,]\d*", text):
             remedy = "write numbers without marks between thousands"
         if text.strip("# ") == column:
-            problem, remedy = "the header stands there again", "remove the line, or split the file there"
+            problem, remedy = "the header is repeated", "remove the line, or split the file there"
         elif row == 1 and (
             text[:1] + text[-1:] in ("[]", "()") or any(canonical(text) in known for known in UNITS.values())
         ):
@@ -144,5 +144,5 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
     for position, name in enumerate(header):
         if name in header[:position]:
             remedy = "give every column a name of its own (join a header of two rows into one, such as `hip.position`)"
-            raise LogError("the column is there twice", remedy, column=name, row="header")
+            raise LogError("the column appears twice", remedy, column=name, row="header")
     return header, mark, open_end, lines
