@@ -38,7 +38,10 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["demo", "diagnose", "efect=dte"], "there is no setting 'efect'; the nearest is 'effect'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no 'sqat' in the group motion; the nearest is 'squat'"),
         (["collect", "motion.perid=3"], "motion has no part 'perid'; there are knee_low, knee_high,"),
-        (["collect", "motion=triangle", "motion.frequency=3"], "motion.frequency is a setting of another choice"),
+        (
+            ["collect", "motion=triangle", "motion.frequency=3"],
+            "motion.frequency belongs to another option of its group",
+        ),
         (["collect", "repeats=0"], "repeats must be at least 1, got 0"),
         (["collect", "world_seed=abc"], "world_seed must be a whole number, got 'abc'"),
         (["collect", "plan=plan.yaml"], "there is no file plan.yaml: correct the path"),
@@ -90,7 +93,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["compliance", "policy=stiff", "grounds=[]"], "grounds must be a list of at least 1, got []"),
         (["compliance", "policy=stiff", "sizes.episodes=2.5"], "sizes: episodes must be a whole number, got 2.5"),
         (["compliance", "policy=stiff", "baseline=x"], "baseline=x: no such folder; give a bundle's, or hold, zero,"),
-        (["evaluate", "policy=hold", "episodes=1000000000"], "there is not enough memory for so much at once; ask for"),
+        (["evaluate", "policy=hold", "episodes=1000000000"], "not enough memory; use fewer robots"),
         (["collect", "hydra/launcher=slurm"], "hydra/launcher=slurm: there is no 'slurm' in the group hydra/launcher"),
         (
             ["train", "-m", "hydra/launcher=submitit_slurm"],

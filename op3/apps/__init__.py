@@ -1,4 +1,4 @@
-"""The commands as functions: typed arguments, a result object, and nothing printed that the result does not hold.
+"""The commands as functions with typed arguments and a result object, which contains all printed results.
 
     from op3.apps.collect import collect
     from op3.apps.identify import identify

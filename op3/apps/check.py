@@ -1,8 +1,8 @@
-"""Check a robot file: its joints, what of its model acts, and a picture of it at home.
+"""Check a robot file: its joints, the parts of its model that are used, and a picture of its home pose.
 
 python experiments/check.py robot=<robot.yaml> [out=<picture>.png]
 
-As a command: op3 check <robot.yaml>. Exit code 1 where the file cannot be right.
+As a command: op3 check <robot.yaml>. Exit code 1 if the file has an error.
 """
 
 import sys

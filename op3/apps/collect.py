@@ -10,9 +10,9 @@ python experiments/collect.py source=emulated policy=assets/policies/balance tas
 python experiments/collect.py -m world=eta_060,eta_070,eta_080
 python experiments/collect.py robot=path/to/my_robot.yaml source=model motion=multisine mount=stand
 
-`robot=stand_in`, `robot=emulated` and `robot=real` of before still mean `source=`.
+`robot=stand_in`, `robot=emulated` and `robot=real` of older versions still mean `source=`.
 
-The same command with the same hydra.run.dir goes on after an interruption with what has not been recorded yet.
+The same command with the same hydra.run.dir continues an interrupted recording.
 """
 
 import datetime
@@ -47,10 +47,10 @@ INTERRUPTED = goes_on("recordings")
 
 @dataclass(frozen=True, kw_only=True)
 class Collected(CommandResult):
-    """What was recorded.
+    """Recorded logs.
 
     Attributes:
-        folders: of the logs, in the order of recording.
+        folders: folders of the logs, in the order of recording.
     """
 
     folders: tuple[Path, ...]
@@ -83,23 +83,23 @@ def collect(
 
     Args:
         motion: a name in ``conf/motion`` or ``conf/variants.yaml``.
-        source: who plays the robot: ``stand_in``, ``emulated``, ``real`` or ``model``.
+        source: the robot: ``stand_in``, ``emulated``, ``real`` or ``model``.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         policy: folder of a bundle whose episodes are recorded instead of a motion.
-        task: that the policy attempts, a name in ``conf/task``.
+        task: task of the policy, a name in ``conf/task``.
         plan: path of a ``plan.yaml``, played instead of a motion.
         mount: ``floor`` or ``stand``.
-        world: of a stand-in: a name in ``assets/worlds.yaml``, a path, or ``random``.
-        world_seed: which random world.
-        model: of the sources ``emulated`` and ``model``: in place of a stand-in.
-        port: of a real robot.
-        repeats: how often the same is recorded.
-        seed: of everything random in the recordings.
-        folder: of the run, which goes on where it was interrupted; None: a temporary one.
-        overrides: of further settings of ``conf/collect.yaml``.
+        world: world of a stand-in: a name in ``assets/worlds.yaml``, a path, or ``random``.
+        world_seed: seed of ``world="random"``.
+        model: model for the sources ``emulated`` and ``model``, instead of a stand-in or the robot's own.
+        port: serial port of a real robot.
+        repeats: number of recordings.
+        seed: seed of all random numbers in the recordings.
+        folder: folder of the run, where an interrupted run continues; None: a temporary folder.
+        overrides: Hydra overrides of further settings in ``conf/collect.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
         op3.deploy.Stop: if a robot on a bus ends the recording.
     """
     with configured("collect", **locals()) as cfg:

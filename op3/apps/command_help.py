@@ -1,4 +1,4 @@
-"""What the commands are, and what they take: the overview, the help of each, and bash's completion."""
+"""The overview of all commands, the help of each, and completion for bash."""
 
 import ast
 import importlib.resources
@@ -54,13 +54,13 @@ def documentation(app: str) -> str:
 
 
 def asked_for(config: str) -> str | None:
-    """The setting that a command cannot do without, whose name may be left out: ``op3 view <log>``."""
+    """The required setting whose name may be omitted: ``op3 view <log>``."""
     found = re.search(r"^(\w+): \?\?\?", config_file(config).read_text(encoding="utf-8"), re.MULTILINE)
     return found and found[1]
 
 
 def overview() -> str:
-    """What ``op3 --help`` prints."""
+    """The output of ``op3 --help``."""
     rows = [f"  {name:15s}{documentation(app).splitlines()[0]}" for name, app in COMMANDS.items() if name != "demo"]
     return "\n".join(
         [
@@ -113,7 +113,7 @@ def settings_of(config: str) -> list[str]:
 
 
 def names_in(group: str) -> list[str]:
-    """What can be chosen of a group: files in ``conf``, effects of the catalogue and variants of motions."""
+    """Names in a config group: files in ``conf``, effects of the catalogue and variants of motions."""
     from hydra.core.config_store import ConfigStore
 
     from op3.identify.registration import register
@@ -124,7 +124,7 @@ def names_in(group: str) -> list[str]:
 
 
 def usage(config: str) -> str:
-    """What ``--help`` of an experiment prints: how it is called, its settings with defaults and units, its groups."""
+    """The output of ``--help`` of a command: usage, settings with defaults and units, config groups."""
     text = config_file(config).read_text(encoding="utf-8")
     body = re.sub(r"\A(#.*\n)+", "", text)  # how it is called stands in the script's documentation
     body = re.sub(r"^(defaults|hydra):\n(?: .*\n|\n)*", "", body, flags=re.MULTILINE)

@@ -1,4 +1,4 @@
-"""What every command has to say in the end."""
+"""Result of a command."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,14 +8,14 @@ from typing import Any
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command has to say in the end.
+    """Result of a command.
 
     Attributes:
-        folder: of the run.
+        folder: folder of the run.
         headline: the result in a sentence or two, with units.
-        numbers: the same by dotted key, as in ``result.yaml``.
-        objective: what a sweep of the command optimises.
-        files: that the command ends with; None: page and numbers, where they are there.
+        numbers: all numbers by dotted key, as in ``result.yaml``.
+        objective: number that a sweep of the command optimises.
+        files: files that the command prints at its end; None: page and numbers, if they exist.
     """
 
     folder: Path

@@ -39,12 +39,12 @@ def compliance(
     Args:
         policy: folder of a bundle, or several; the first one is compared with the others.
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the config.
-        seed: of the episodes.
-        folder: of the run; None: a temporary one.
-        overrides: of further settings of ``conf/compliance.yaml``.
+        seed: seed of the episodes.
+        folder: folder of the run; None: a temporary folder.
+        overrides: Hydra overrides of further settings in ``conf/compliance.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("compliance", **locals()) as cfg:
         return main(cfg)

@@ -1,9 +1,9 @@
-"""Hide an effect in a simulated robot, record the robot, and let the diagnosis name it: two minutes.
+"""Hide an effect in a simulated robot, record it, and diagnose it, in two minutes.
 
 python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [hidden_robot=leg|pendulum|op3|arm]
 
-The robot's physics is not the project's own, and its answer is sealed before the diagnosis begins and read after it has
-ended.
+The robot's physics are independent of op3's. A hash of the answer is written before the diagnosis begins; the answer is
+read after it has ended.
 """
 
 import hashlib

@@ -51,7 +51,7 @@ class Deployed(CommandResult):
     """How a run on a robot ended.
 
     Attributes:
-        code: of the end; 0 is as asked.
+        code: exit code; 0: the run ended normally.
     """
 
     code: ExitCode
@@ -78,16 +78,16 @@ def deploy(
         port: a device, a pseudo-terminal, or ``emulated``.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         mode: ``run``, ``dry_run``, ``read_only``, ``hang``, ``setup``, ``calibrate`` or ``replay``.
-        duration: of the policy or of watching [s].
-        world: of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
-        model: of an emulated robot: a ``model.yaml``, or ``own``, in place of a stand-in.
-        confirm: ask before torque.
-        seed: of an emulated robot.
-        folder: of the run; None: a temporary one.
-        overrides: of further settings of ``conf/deploy.yaml``.
+        duration: length of the run [s].
+        world: world of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
+        model: model of an emulated robot instead of a stand-in: a ``model.yaml``, or ``own``.
+        confirm: whether to ask before torque is switched on.
+        seed: seed of an emulated robot.
+        folder: folder of the run; None: a temporary folder.
+        overrides: Hydra overrides of further settings in ``conf/deploy.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("deploy", **locals()) as cfg:
         code = carry_out(cfg)

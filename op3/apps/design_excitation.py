@@ -1,4 +1,4 @@
-"""Choose the motions that narrow the intervals of parameters most per second of robot time.
+"""Plan the motions that narrow the intervals of parameters most per second of robot time.
 
 python experiments/design_excitation.py groups=[gear,friction] seconds=60 [mounts=[floor]] [model=<model.yaml>]
 python experiments/collect.py plan=<its folder>/plan.yaml source=stand_in
@@ -34,7 +34,7 @@ class Designed(CommandResult):
     """A plan of recordings.
 
     Attributes:
-        plan: its file, which `collect` plays.
+        plan: file for the argument `plan` of `collect`.
     """
 
     plan: Path
@@ -52,21 +52,21 @@ def design(
     folder: str | Path | None = None,
     overrides: Sequence[str] = (),
 ) -> Designed:
-    """Choose the motions that narrow the intervals of parameters most per second of robot time.
+    """Plan the motions that narrow the intervals of parameters most per second of robot time.
 
     Args:
-        groups: of parameters that are to be identified; None: ``motor, gear, friction, body``.
-        seconds: of robot time.
+        groups: parameter groups to be identified; None: ``motor, gear, friction, body``.
+        seconds: total robot time [s].
         wanted: parameters whose intervals count; None: all.
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: the robot's own.
         robot: a name in ``assets/robots`` or the path of a robot file; None: the OP3.
         mounts: ``floor``, ``stand`` or both.
         motions: names in ``conf/motion`` or ``conf/variants.yaml``; None: all that the robot can play.
-        folder: of the run; None: a temporary one.
-        overrides: of further settings of ``conf/design_excitation.yaml``.
+        folder: folder of the run; None: a temporary folder.
+        overrides: Hydra overrides of further settings in ``conf/design_excitation.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("design_excitation", **locals()) as cfg:
         return main(cfg)

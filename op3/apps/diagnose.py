@@ -1,10 +1,10 @@
 """Name the effects that a model does not include, from logs of a stand or of a servo bench.
 
 python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in assets/models>
-python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # again from the returned model
-python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # what these logs can show
+python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # repeats it from the returned model
+python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # which effects these logs can show
 python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
-python experiments/diagnose.py planned=leg_suite mode=aliasing   # what a suite would show
+python experiments/diagnose.py planned=leg_suite mode=aliasing   # which effects a suite would show
 python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
@@ -50,11 +50,11 @@ from op3.sim import model_for, save_model
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosed(CommandResult):
-    """What a diagnosis found.
+    """Result of a diagnosis.
 
     Attributes:
-        verdict: the findings with sizes and probabilities, and the model with them; None with ``mode=aliasing``.
-        content: the same as plain data, as in ``verdict.yaml`` or ``aliasing.yaml``.
+        verdict: findings with sizes and probabilities, and the returned model; None with ``mode=aliasing``.
+        content: the content of ``verdict.yaml`` or ``aliasing.yaml``.
     """
 
     verdict: Verdict | None
@@ -82,20 +82,20 @@ def diagnose(
     Args:
         data: logs of one robot on a stand, or of a servo on a bench: a folder, a pattern or a list of them.
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: the robot's own.
-        robot: that made the logs; None: what they say.
-        mode: ``once``, ``loop`` (again from the returned model) or ``aliasing`` (what these logs can show).
+        robot: robot of the logs; None: as in the logs.
+        mode: ``once``, ``loop`` (repeats from the returned model) or ``aliasing`` (which effects these logs can show).
         without: effects of the catalogue that are not considered.
-        policy: folder of a bundle whose return is predicted before and after.
-        task: that the policy attempts, a name in ``conf/task``.
+        policy: folder of a bundle whose return is predicted before and after the diagnosis.
+        task: task of the policy, a name in ``conf/task``.
         actual: logs of the policy's episodes on the robot, for comparison.
-        episodes: of the policy under each model.
-        seed: of everything random.
-        folder: of the run; None: a temporary one.
+        episodes: number of episodes under each model.
+        seed: seed of all random numbers.
+        folder: folder of the run; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
-        overrides: of further settings of ``conf/diagnose.yaml``.
+        overrides: Hydra overrides of further settings in ``conf/diagnose.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("diagnose", **locals()) as cfg:
         return main(cfg)

@@ -1,4 +1,4 @@
-"""Judge a policy, or a baseline, under R_eval on a simulated robot.
+"""Evaluate a policy or a baseline by R_eval on a simulated robot.
 
 python experiments/evaluate.py policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
 python experiments/evaluate.py policy=<bundle> task=balance_eval episodes=20 baseline=hold
@@ -49,10 +49,10 @@ INTERRUPTED = "Only results already in the folder are kept."
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluated(CommandResult):
-    """How a policy did in simulation.
+    """Result of an evaluation in simulation.
 
     Attributes:
-        logs: of the episodes.
+        logs: logs of the episodes.
     """
 
     logs: list[Rollout]
@@ -71,22 +71,22 @@ def evaluate(
     wandb: str = "disabled",
     overrides: Sequence[str] = (),
 ) -> Evaluated:
-    """Judge a policy, or a baseline, under R_eval on a simulated robot.
+    """Evaluate a policy or a baseline by R_eval on a simulated robot.
 
     Args:
         policy: folder of a bundle, or ``hold``, ``zero``, ``random``, ``stiff``.
         task: a name in ``conf/task``.
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the robot's file.
         robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
-        episodes: number of them.
-        baseline: beside the policy on the same episodes.
-        seed: of the episodes.
-        folder: of the run; None: a temporary one.
+        episodes: number of episodes.
+        baseline: policy to compare with on the same episodes.
+        seed: seed of the episodes.
+        folder: folder of the run; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
-        overrides: of further settings of ``conf/evaluate.yaml``.
+        overrides: Hydra overrides of further settings in ``conf/evaluate.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("evaluate", **locals()) as cfg:
         return main(cfg)

@@ -1,8 +1,8 @@
-"""Write a model for another simulator, with the error of what that cannot express.
+"""Write a model for another simulator, and measure the error with the effects that it can represent.
 
 python experiments/export.py model=<model.yaml> to=mjcf|bam [data=<logs>] [robot=<robot>] [out=<file>]
 
-mjlab and MuJoCo Playground take the MJCF as it is. BAM's JSON comes in as `model=<file>.json` of every command.
+mjlab and MuJoCo Playground read the MJCF unchanged. Every command reads BAM's JSON as `model=<file>.json`.
 """
 
 import json

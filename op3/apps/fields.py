@@ -1,4 +1,4 @@
-"""What fields of the configs must be, checked before the libraries of a command are imported."""
+"""Checks of config fields, made before the libraries of a command are imported."""
 
 import dataclasses
 import glob
@@ -33,7 +33,7 @@ from op3.common.wandb_settings import WandbSettings
 
 @settings()
 class Common:
-    """What fields must be that mean the same in every command which has them."""
+    """Fields with the same meaning in every command."""
 
     seed: Whole = 0
     world_seed: Whole = 0

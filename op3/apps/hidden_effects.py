@@ -1,10 +1,10 @@
 """Hide effects in robots, diagnose every robot from its logs alone, and count how often the names are right.
 
 python experiments/hidden_effects.py [bench=ci|laptop|op3|full] [set=development|test] [hydra.run.dir=<folder>]
-python experiments/hidden_effects.py ranges=my_ranges.yaml  # robots drawn from other numbers
-python experiments/hidden_effects.py diagnose=false         # record the cases and seal the answers only
+python experiments/hidden_effects.py ranges=my_ranges.yaml  # other ranges of the robots
+python experiments/hidden_effects.py diagnose=false         # only record the cases and seal the answers
 
-The answers are sealed before the first diagnosis. The same command with the same hydra.run.dir goes on where it
+The answers are sealed before the first diagnosis. The same command with the same hydra.run.dir continues where it
 stopped.
 """
 

@@ -40,7 +40,7 @@ class Identified(CommandResult):
     """A model whose parameters were identified.
 
     Attributes:
-        model: with values and 90 % intervals; in the folder as ``model.yaml``.
+        model: model with values and 90 % intervals, also stored as ``model.yaml``.
     """
 
     model: RobotModel
@@ -68,19 +68,19 @@ def identify(
         data: logs to fit: a path, a folder, a pattern or a list of them.
         heldout: logs to test on, never used for fitting.
         model: path of a ``model.yaml`` or a name in ``assets/models`` to start from; None: the robot's own.
-        robot: that made the logs; None: what they say.
-        groups: of parameters to search; None: ``motor, gear, friction, body``.
-        effects: of the catalogue, switched on in addition.
+        robot: robot of the logs; None: as in the logs.
+        groups: parameter groups to search; None: ``motor, gear, friction, body``.
+        effects: effects of the catalogue to switch on in addition.
         method: ``tpe``, ``lsq``, ``cmaes`` or ``tpe+lsq``; None: ``tpe``.
         ablate: effects to switch off for comparison; None: ``dte``.
-        trials: of the study; None: those of the method.
-        seed: of everything random.
-        folder: of the run, which goes on where it was interrupted; None: a temporary one.
+        trials: number of trials; None: that of the method.
+        seed: seed of all random numbers.
+        folder: folder of the run, where an interrupted run continues; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
-        overrides: of further settings of ``conf/identify.yaml``.
+        overrides: Hydra overrides of further settings in ``conf/identify.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("identify", **locals()) as cfg:
         return main(cfg)

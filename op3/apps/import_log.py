@@ -1,9 +1,9 @@
-"""Check a log of any format: its content, what was guessed and why, and what is wrong.
+"""Check a log of any format: its content, guesses with reasons, and findings.
 
 python experiments/import_log.py data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
 
-Where no YAML lies beside the log, what was understood is written there for you to correct; `read_log` and every
-`data=` read it. Exit code 1 where the log cannot be right.
+If there is no YAML beside the log, the interpretation is written there for you to correct; `read_log` and every
+`data=` read it. Exit code 1 if a log has an error.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Measure how well a model predicts logs that it has not seen, with 90 % intervals.
+"""Measure the error of a model on logs that it was not fitted to, with 90 % intervals.
 
 python experiments/predict.py model=<model.yaml or name> data=<logs> [where='{firmware_gain: 8}']
 python experiments/predict.py -m model=outputs/identify/<run>,paper data=<logs>
@@ -25,10 +25,10 @@ from op3.sim import find_model, model_for
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted(CommandResult):
-    """How well a model predicts.
+    """Errors of a model on logs.
 
     Attributes:
-        score: errors with intervals: of all logs, by channel, joint and motion.
+        score: errors with intervals, of all logs and by channel, joint and motion.
     """
 
     score: PredictionScore
@@ -45,20 +45,20 @@ def predict(
     folder: str | Path | None = None,
     wandb: str = "disabled",
 ) -> Predicted:
-    """Simulate the commands of logs on a model and compare with what was measured.
+    """Simulate the commands of logs with a model and compare with the measurements.
 
     Args:
         data: a log, a folder or pattern of logs, or a list of them.
         model: path of a ``model.yaml``, or a name in ``assets/models``; None: the robot's own.
-        robot: that made the logs; None: what they say.
-        where: takes only logs with these metadata.
-        joints: whose traces are shown; None: those that the robot's file calls controlled.
-        seed: of the bootstrap.
-        folder: for page and numbers; None: a temporary one.
+        robot: robot of the logs; None: as in the logs.
+        where: metadata that logs must have; None: all logs.
+        joints: joints that count; None: the controlled joints of the robot's file.
+        seed: seed of the bootstrap.
+        folder: folder for page and numbers; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("predict", **locals()) as cfg:
         return main(cfg)

@@ -1,4 +1,4 @@
-"""How far a run is, and how long it still takes."""
+"""Progress of a run, with the time left."""
 
 import math
 import sys

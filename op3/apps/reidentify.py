@@ -42,7 +42,7 @@ class ReidentifiedModel(CommandResult):
     """A model that was re-identified from a failed transfer.
 
     Attributes:
-        model: its file.
+        model: path of its ``model.yaml``.
     """
 
     model: Path
@@ -66,21 +66,21 @@ def reidentify(
     """Re-identify a robot from a policy's failed transfer: match the returns of its episodes.
 
     Args:
-        policy: folder of the bundle that was played.
+        policy: folder of the policy's bundle.
         model: ``model.yaml`` that it was trained on.
         data: log of the excitation that the model was identified from.
         episodes: logs of the policy's episodes on the robot.
-        task: that the policy attempted, a name in ``conf/task``.
-        groups: of parameters to search; None: those of the config.
-        diagnosed: whether the robot is diagnosed first.
-        start_name: what the page calls the model that is started from.
-        seed: of everything random.
-        folder: of the run, which goes on where it was interrupted; None: a temporary one.
+        task: task of the policy, a name in ``conf/task``.
+        groups: parameter groups to search; None: those of the config.
+        diagnosed: whether to diagnose the robot first.
+        start_name: name of the start on the page.
+        seed: seed of all random numbers.
+        folder: folder of the run, where an interrupted run continues; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
-        overrides: of further settings of ``conf/reidentify.yaml``.
+        overrides: Hydra overrides of further settings in ``conf/reidentify.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("reidentify", **locals()) as cfg:
         return main(cfg)

@@ -1,11 +1,11 @@
-"""Run the whole method against a robot: collect, identify, train, deploy, judge, learn from failures.
+"""Run the whole method on a robot: collect, identify, train, deploy, and re-identify after a failed transfer.
 
 python experiments/sim2real.py source=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
-python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # begin with a policy that exists
+python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # start with an existing policy
 python experiments/sim2real.py -m world=robot_1,robot_4 condition=excitation_only,reidentified,domain_randomisation
 
-Every stage is an experiment of its own in a folder of its own. The same command with the same hydra.run.dir goes on
-where an interrupted one stopped.
+Every stage is a command with a separate folder. The same command with the same hydra.run.dir continues after an
+interruption.
 """
 
 from collections.abc import Sequence
@@ -73,23 +73,23 @@ def sim2real(
     folder: str | Path | None = None,
     overrides: Sequence[str] = (),
 ) -> CommandResult:
-    """Collect, identify, train, deploy and judge; diagnose, re-identify and train again from failures.
+    """Collect, identify, train and deploy; after a failed transfer diagnose, re-identify and train again.
 
     Args:
         task: ``balance`` or ``walk``.
         source: ``emulated`` or ``real``.
-        world: of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
-        port: of a real robot.
+        world: world of an emulated robot: a name in ``assets/worlds.yaml``, a path, or ``random``.
+        port: serial port of a real robot.
         condition: a name under ``conditions`` in ``conf/sim2real.yaml``.
         budget: ``demo``, ``laptop`` or ``paper``.
-        policy: folder of a bundle that goes to the robot first; None: one is trained.
-        rounds: of learning from a failed transfer, at most.
-        seed: of everything random.
-        folder: of the run, which goes on where it was interrupted; None: a temporary one.
-        overrides: of further settings of ``conf/sim2real.yaml``.
+        policy: folder of the bundle for the first transfer; None: one is trained.
+        rounds: largest number of rounds after failed transfers.
+        seed: seed of all random numbers.
+        folder: folder of the run, where an interrupted run continues; None: a temporary folder.
+        overrides: Hydra overrides of further settings in ``conf/sim2real.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     with configured("sim2real", **locals()) as cfg:
         return main(cfg)

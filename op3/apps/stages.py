@@ -1,4 +1,4 @@
-"""Commands one after another, each once: what longer ones are made of."""
+"""Stages: commands that run one after another, each once."""
 
 import fcntl
 import hashlib
@@ -41,7 +41,7 @@ def used_seconds() -> float:
 
 
 class StageOutput(io.TextIOBase):
-    """Standard output of a stage: goes to a file; a line that ends with the time left is shown now and then.
+    """Standard output of a stage, written to a file; lines with the time left are also shown from time to time.
 
     Args:
         name: of the stage.
@@ -99,7 +99,7 @@ class Stages:
     def run(self, name: str, command: Callable[..., CommandResult], **arguments: Any) -> Path:
         """Call one command, unless that has been done before; returns its folder.
 
-        A training that was interrupted goes on from its checkpoint, as other commands go on by themselves.
+        An interrupted training continues from its checkpoint; other commands continue by themselves.
 
         Args:
             name: of the stage.

@@ -1,4 +1,4 @@
-"""What several commands do: the run's folder, settings that a folder was started with, logs and motions by name."""
+"""Functions that several commands share: the run's folder and its settings, logs and motions by name."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -51,7 +51,7 @@ def reported(kind: type[Made], values: Mapping[str, Any], objective: str | None 
 
 
 def check_same(path: Path, asked: Mapping[str, Any]) -> None:
-    """Refuse to go on in a folder with other settings than it was started with: results would be mixed in silence.
+    """Refuse to continue in a folder that was started with other settings: results would be mixed silently.
 
     Args:
         path: file of the folder in which `remember` has written the settings; nothing is refused without it.
@@ -70,7 +70,7 @@ def check_same(path: Path, asked: Mapping[str, Any]) -> None:
 
 
 def remember(path: Path, asked: Mapping[str, Any]) -> None:
-    """Write down what a folder was started with, once; see `check_same`."""
+    """Write the settings that a folder was started with, once; see `check_same`."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, yaml.safe_dump(scrub(dict(asked)), width=1000))

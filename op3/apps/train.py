@@ -58,7 +58,7 @@ class Trained(CommandResult):
     """A trained policy.
 
     Attributes:
-        policy: folder of its bundle.
+        policy: folder of the policy bundle.
     """
 
     policy: Path
@@ -88,17 +88,17 @@ def train(
         robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
         algorithm: a name in ``conf/algorithm``.
         budget: a name in ``conf/budget``.
-        steps: of all robots together; None: those of recipe and budget.
-        environments: robots that are stepped side by side.
+        steps: number of steps of all robots together; None: that of recipe and budget.
+        environments: number of robots simulated in parallel.
         warm_start: folder of a policy bundle to start with.
-        resume: folder of an earlier run to go on from.
-        seed: of everything random.
-        folder: of the run; None: a temporary one.
+        resume: folder of an earlier run to continue.
+        seed: seed of all random numbers.
+        folder: folder of the run; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
-        overrides: of further settings of ``conf/train.yaml``.
+        overrides: Hydra overrides of further settings in ``conf/train.yaml``.
 
     Raises:
-        ValueError: if something given is impossible; one sentence says what and how to fix it.
+        ValueError: if an argument is invalid; the message says which one and how to fix it.
     """
     folder = resume or folder
     with configured("train", **locals()) as cfg:

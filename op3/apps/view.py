@@ -4,11 +4,11 @@ python experiments/view.py what=<log> [model=<model.yaml>]             # measure
 python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
 python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands, the model as an overlay
 python experiments/view.py what=<robot.yaml>                           # a robot file: a multisine on the stand
-python experiments/view.py what=<run of diagnose.py>                   # measured, before and after what was named
+python experiments/view.py what=<run of diagnose.py>                   # measured, before and after the diagnosis
 python experiments/view.py what=<log> out=video.mp4                     # or out=log.rrd, out=rerun
 python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as an overlay
 
-Without a screen an mp4 is written. As a command: op3 view <log>.
+Without a screen it writes an mp4. As a command: op3 view <log>.
 """
 
 import os
