@@ -1,4 +1,4 @@
-"""Policies as files: what a trained policy reads, what it commands, and its inference."""
+"""Policies as files: observations, actions and inference."""
 
 from typing import TYPE_CHECKING
 

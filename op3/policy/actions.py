@@ -1,4 +1,4 @@
-"""What an action means: target angles and P gains of the controlled joints (paper Sec. action space)."""
+"""Map from actions to target angles and P gains of the controlled joints (paper Sec. action space)."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -33,18 +33,18 @@ HELD_GAIN = 6.0
 class ActionMap:
     """Actions in [-1, 1] as target angles and P gains, both linear in the action.
 
-    An action ``[..., 2 joint]`` holds first the angle of every joint, then its gain; where nothing commands gains it
-    holds angles alone. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
+    An action ``[..., 2 joint]`` has first the angles of all joints, then their gains; without commanded gains it has
+    only angles. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
 
     Attributes:
         joints: the controlled joints, in the order of the action.
         position_low: target angle [rad] of each joint at action -1.
         position_high: target angle [rad] of each joint at action +1.
-        gain_low: P gain at action -1 [A/rad]; None: actions command no gains. Servos that take some then get
+        gain_low: P gain at action -1 [A/rad]; None: actions command no gains. Current-controlled servos then get
             `HELD_GAIN`.
-        gain_high: P gain at action +1 [A/rad]; equal to `gain_low`, the gain is fixed whatever the action says.
+        gain_high: P gain at action +1 [A/rad]; if equal to `gain_low`, the gain is fixed.
         d_gain: D gain of every joint [A s/rad].
-        robot: whose joints these are.
+        robot: robot of these joints.
     """
 
     joints: Some[str]
@@ -53,7 +53,7 @@ class ActionMap:
     gain_low: NotNegative | None = GAIN_LOW
     gain_high: NotNegative | None = GAIN_HIGH
     d_gain: NotNegative = D_GAIN
-    robot: Text = DEFAULT  # in manifests that do not say so
+    robot: Text = DEFAULT  # for manifests without a robot
 
     def __post_init__(self):
         robot = load_robot(self.robot)
@@ -80,7 +80,7 @@ class ActionMap:
 
     @classmethod
     def of_terms(cls, terms: Mapping[str, Mapping[str, Any]], robot: Robot) -> "ActionMap":
-        """What the action terms of a task command.
+        """The action map of a task's action terms.
 
         Args:
             terms: ``position`` with ``span`` [rad] about the home pose and ``joints``, by default those that the
@@ -111,7 +111,7 @@ class ActionMap:
         """Targets within `span` [rad] of the stand pose, clipped to the soft limits.
 
         Args:
-            robot: whose stand pose, joints and limits.
+            robot: robot with stand pose, joints and limits.
             span: largest distance from the stand pose [rad].
             joints: the controlled joints; None: those of the robot.
         """
@@ -127,13 +127,13 @@ class ActionMap:
 
     @property
     def span(self) -> float:
-        """How far a target may lie from the stand pose [rad]."""
+        """Largest distance of a target from the stand pose [rad]."""
         stand = load_robot(self.robot).home[self._places]
         return float(np.abs(np.array([self.position_low, self.position_high]) - stand).max())
 
     @property
     def size(self) -> int:
-        """Numbers in an action: an angle per joint, and a gain where the servos take any."""
+        """Numbers in an action: an angle per joint, and a gain if commanded."""
         return (1 if self.gain_low is None else 2) * len(self.joints)
 
     def targets(self, action: Array) -> tuple[Array, Array]:
@@ -156,9 +156,9 @@ class ActionMap:
         return values[..., : len(self.joints)], values[..., len(self.joints) :]
 
     def commands(self, action: Array) -> dict[str, Any]:
-        """What servos are told of actions, for all the robot's joints; those not controlled hold the stand pose.
+        """Commands of all joints for an action; joints that are not controlled hold the stand pose.
 
-        The one function with which tasks, environments and the robot carry out an action.
+        Tasks, environments and the real robot all use this function.
 
         Args:
             action: [..., 2 joint], numpy or torch.
@@ -180,7 +180,7 @@ class ActionMap:
         return commands
 
     def _whole(self, rest: NDArray[np.float64], values: Any) -> Any:
-        """Values of the controlled joints among those of all joints at rest."""
+        """Values of all joints: those given for the controlled joints, the others at rest."""
         whole = np.broadcast_to(rest, (*values.shape[:-1], len(rest))).copy()
         full: Any = torch.from_numpy(whole).to(values) if isinstance(values, torch.Tensor) else whole
         if values.shape[-1]:
@@ -207,7 +207,7 @@ class ActionMap:
         else:
             values = np.concatenate([position_target, p_gain], -1)
         low, high = self._bounds(values)
-        fixed = high == low  # any action commands this; 0 is the middle
+        fixed = high == low  # every action commands this gain; 0 is the middle
         return (2.0 * values.clip(low, high) - low - high) / (high - low + fixed)
 
     def stand(self, p_gain: float | None = None) -> NDArray[np.float64]:
@@ -232,7 +232,7 @@ class ActionMap:
             ValueError: if a field is missing, unknown or impossible; the message names it.
         """
         known = {field.name for field in dataclasses.fields(cls)}
-        # bundles from before robots had files are of the default one
+        # bundles from before robot files existed are for the default robot
         if not isinstance(values, Mapping) or {*values, "robot"} != known:
             given = ", ".join(map(str, values)) if isinstance(values, Mapping) else repr(values)
             raise ValueError(f"action map: needs exactly the fields {', '.join(sorted(known))}, got {given}")

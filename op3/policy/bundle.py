@@ -57,7 +57,7 @@ class PolicyBundle:
             observation: [..., observation], numpy or torch.
 
         Returns:
-            [..., 2 joint] in [-1, 1], of the kind and precision given.
+            [..., 2 joint] in [-1, 1], of the type and precision of the input.
 
         Raises:
             ValueError: if the observation has another size or is not finite.
@@ -81,9 +81,9 @@ class PolicyBundle:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what the policy does, 16 hexadecimal digits: of weights and manifest without where they come from.
+        """Hash of the policy's function, 16 hexadecimal digits: of weights and manifest without their origin.
 
-        Fields at their defaults do not count, so that fields which later versions add change nothing.
+        Fields at their defaults are ignored, so that fields of later versions do not change the hash.
         """
         fields = [f for f in dataclasses.fields(self.manifest) if f.name != "training"]
         values = {f.name: getattr(self.manifest, f.name) for f in fields}
@@ -96,7 +96,7 @@ class PolicyBundle:
         return digest.hexdigest()[:16]
 
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
-        """Write the bundle; the folder appears whole or not at all.
+        """Write the bundle atomically.
 
         Args:
             overwrite: whether a bundle already there is replaced.
@@ -132,7 +132,7 @@ class PolicyBundle:
             raise ValueError(f"{folder / MANIFEST}: {error}; restore the bundle or train again") from None
         try:
             weights = torch.load(folder / WEIGHTS, map_location="cpu", weights_only=True)
-        except Exception as error:  # what is no file of torch's makes its reader fail in many ways
+        except Exception as error:  # torch's reader fails in many ways on files that are not its own
             reason = " ".join(str(error).split())[:80]
             raise ValueError(f"{folder / WEIGHTS}: not a file of weights ({reason}); restore the bundle") from None
         try:

@@ -1,4 +1,6 @@
-"""What a policy does in simulation, beside its weights: ``card.yaml``, whose first line says WALKS, STANDS or FALLS."""
+"""The measured behaviour of a policy in simulation, ``card.yaml`` in its bundle; its first line is WALKS, STANDS or
+FALLS.
+"""
 
 from __future__ import annotations
 
@@ -25,20 +27,20 @@ walking. A gait that leans on its other leg touches in every step.
 
 @settings("policy card")
 class Card:
-    """What `op3 evaluate` found; units are SI, shares lie between 0 and 1.
+    """Results of `op3 evaluate`; units are SI, shares are between 0 and 1.
 
     Attributes:
-        verdict: whether at least nine of ten robots walk, or else stand, to the end of their episode.
+        verdict: whether at least nine of ten robots walk, or stand, to the end of their episode.
         policy: fingerprint of the policy, see `PolicyBundle.fingerprint`.
-        task: that was attempted.
+        task: task of the episodes.
         model: name or file of the robot model.
-        robots: in each row of `robustness`.
+        robots: number of robots in each row of `robustness`.
         self_contact: share of physics steps in which the robot touches itself.
         penetration: depth of its deepest contact with itself [m].
         validity: further numbers of the gait, see `op3.envs.gait_validity.GaitValidity`.
         robustness: success by variation, with its 95 % interval.
         pushes: largest impulse survived at the trunk [N s], mean and by direction, with 95 % intervals.
-        commands: of a walk that takes any, see `op3.envs.tracking.Obedience`; empty for others.
+        commands: tracking errors of a walk with commands, see `op3.envs.tracking.Obedience`; empty for others.
         cost: currents [A], power [W] and cost of transport.
         made: command, commit and date.
     """
@@ -58,7 +60,7 @@ class Card:
     made: Named[Any] = dataclasses.field(default_factory=dict)
 
     def refusal(self, bundle: PolicyBundle) -> str | None:
-        """Why a robot must not run the policy, in words that follow its name; None where nothing is against it."""
+        """Why a robot must not run the policy, in words that follow its name; None if it may."""
         if self.policy != bundle.fingerprint:
             return f"has the card of another policy ({self.policy}, its own is {bundle.fingerprint})"
         if self.verdict == "FALLS":
@@ -101,14 +103,14 @@ class Card:
         return cls(verdict=verdict, **fields)
 
     def save(self, folder: str | Path) -> Path:
-        """Write the card into a bundle's folder; the file appears whole or not at all."""
+        """Write the card into a bundle's folder atomically."""
         path = Path(folder) / CARD
         write_text(path, self.to_yaml())
         return path
 
 
 def find_card(folder: str | Path) -> Card | None:
-    """The card of a bundle; None where it has none.
+    """The card of a bundle; None if it has none.
 
     Raises:
         ValueError: if the file is broken; the message names file, field and remedy.
@@ -126,7 +128,7 @@ def check_card(folder: str | Path, bundle: PolicyBundle) -> Card:
     """The card of a bundle that a robot may run.
 
     Raises:
-        ValueError: in one sentence, if it has none or one that is against it.
+        ValueError: if it has no card, or its card refuses it.
     """
     card = find_card(folder)
     remedy = f"make one with op3 evaluate policy={folder} task={bundle.manifest.task} card=true"

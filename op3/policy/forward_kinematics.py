@@ -1,4 +1,4 @@
-"""Where the soles are and how fast they move, from joint angles and velocities alone: what a robot can compute."""
+"""Positions and velocities of the soles from joint angles and velocities, as a robot can compute them."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -18,10 +18,10 @@ PROCESSOR = torch.device("cpu")
 
 
 class Chains:
-    """Forward kinematics of chains of hinges that hang on the base, batched, in torch float64, differentiable.
+    """Forward kinematics of chains of hinges attached to the base, batched, in torch float64, differentiable.
 
-    Joints turn about axes where the robot has them at angle zero, one after the other from the
-    foot inwards (product of exponentials; Brockett 1984). Use the shared `leg_kinematics`.
+    Joints turn about their axes at angle zero, in order from the foot inwards (product of exponentials; Brockett 1984).
+    Use the shared `leg_kinematics`.
 
     Args:
         chains: names of the joints of each chain, equally many, from the base outwards.
@@ -94,10 +94,10 @@ def _at_zero(robot: Robot) -> mujoco.MjData:
 
 @lru_cache(maxsize=4)
 def leg_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
-    """A robot's legs and the key points of their soles; without any the origins of its feet.
+    """A robot's legs and the key points of their soles, or the origins of its feet.
 
     Args:
-        device: of the angles that will be given.
+        device: device of the angles.
 
     Raises:
         ValueError: if it has no feet, or legs of different numbers of joints.
@@ -115,7 +115,7 @@ def tip_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
     """The joints that move an arm's tip, and the tip.
 
     Args:
-        device: of the angles that will be given.
+        device: device of the angles.
 
     Raises:
         ValueError: if its file names no tip.

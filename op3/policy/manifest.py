@@ -1,4 +1,4 @@
-"""What a policy's weights do not say: observation, action map, rates, and where the policy comes from."""
+"""Description of a policy besides its weights: observation, action map, rates and origin."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ POLICY_RATE = 31.25
 
 @settings("policy manifest: training")
 class Training:
-    """Where a policy comes from.
+    """Origin of a policy.
 
     Attributes:
         model: name or file of the robot model it was trained on.
@@ -49,23 +49,23 @@ class Training:
 
 @settings("policy manifest")
 class Manifest:
-    """What a policy reads and commands.
+    """Observations and actions of a policy.
 
     Attributes:
         task: it was trained for, `balance` or `walk`.
         layout: name and size of each part of one observation, in order.
-        history: how many earlier observations are appended to the latest, n in the paper.
+        history: number of earlier observations that are appended to the latest, n in the paper.
         observations: terms of one observation by name, see `op3.policy.observation`; none in files of older versions,
             whose parts are terms of their own name.
-        cycle: duration of a gait cycle [s]; None for a policy that sees no phase.
-        action_map: what its actions mean.
+        cycle: duration of a gait cycle [s]; None for a policy that does not observe the phase.
+        action_map: map from actions to commands.
         hidden: units of the hidden layers.
         activation: of the hidden layers.
         command_rate: of the PD control [Hz].
         policy_rate: of the policy [Hz].
         normalisation: `fixed` or `running`, how mean and scale of the observation were found.
         clip: bound of a normalised observation.
-        training: where it comes from.
+        training: origin.
     """
 
     task: str
@@ -97,11 +97,11 @@ class Manifest:
         return sum(self.layout.values()) * (self.history + 1)
 
     def check_fits(self, layout: Mapping[str, int], history: int, command_rate: float, policy_rate: float) -> None:
-        """Refuse a robot or a task that gives other observations or runs at other rates than the policy was made for.
+        """Refuse a robot or a task whose observations or rates differ from those of the policy's training.
 
         Args:
             layout: name and size of each part of one observation, in order.
-            history: how many earlier observations come with the latest.
+            history: number of earlier observations besides the latest.
             command_rate: of the PD control [Hz].
             policy_rate: of the policy [Hz].
 

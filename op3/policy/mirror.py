@@ -1,4 +1,4 @@
-"""Images of what a policy sees and does in the robot's plane of symmetry, y = 0."""
+"""Mirror images of observations and actions in the robot's plane of symmetry, y = 0."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -26,17 +26,16 @@ right of a CAD model differ by about a millimetre."""
 class Mirror:
     """Observations and actions of the robot's mirror image: robot and task are taken to be symmetric.
 
-    The image of a walk is half a cycle later, because the feet change their parts. What mirroring does to a robot's
-    joints, its IMU, its commands and its gait is known; what it does to each number of an observation is found from
-    that: the terms look at random states and at their images, and each number of the image must be plus or minus one
-    number of the original. So terms of any kind have images, if they have.
+    The image of a walk is half a cycle later, because the feet swap roles. The mirror images of a robot's joints, IMU,
+    commands and gait are known. Those of observations are derived from them: the terms are evaluated in random states
+    and in their images, and each number of the image must be plus or minus one number of the original.
 
     Args:
-        observer: what the policy sees.
-        example: what one robot senses, ``[1, ...]``.
-        action_map: what actions mean, and of which robot.
+        observer: observer of the policy.
+        example: sensor readings of one robot, ``[1, ...]``.
+        action_map: action map of the robot.
         commands: signs of the image of each command, by name.
-        privileged: signs of the image of each number that critics alone see.
+        privileged: signs of the image of each privileged number.
 
     Raises:
         ValueError: if the robot has no plane of symmetry, a joint's partner is not controlled, or a command or a number
@@ -84,7 +83,7 @@ class Mirror:
         return observation[..., self._observation] * self._observation_sign.to(observation)
 
     def privileged(self, privileged: Tensor) -> Tensor:
-        """What critics alone see of the image, ``[..., number]``."""
+        """The image's privileged observation, ``[..., number]``."""
         return privileged * self._privileged_sign.to(privileged)
 
     def action(self, action: Tensor) -> Tensor:
@@ -94,7 +93,7 @@ class Mirror:
     def _image(
         self, seen: Sensed, images: Mapping[str, tuple[str, int]], joints: Sequence[str], commands: Mapping[str, Tensor]
     ) -> Sensed:
-        """What the mirror images of robots sense."""
+        """Sensor readings of the mirror images of robots."""
         partner = [joints.index(images[name][0]) for name in joints]
         sign = torch.tensor([float(images[name][1]) for name in joints], dtype=torch.float64)
         axial = torch.tensor(AXIAL, dtype=torch.float64)
@@ -110,7 +109,7 @@ class Mirror:
 
 
 def _random(example: Sensed) -> Sensed:
-    """States about that of an example."""
+    """Random states about that of an example."""
     generator = torch.Generator().manual_seed(0)
 
     def scattered(values: Tensor | None, size: float = 0.3) -> Tensor | None:
@@ -126,7 +125,7 @@ def _random(example: Sensed) -> Sensed:
 
 
 def _signed_permutation(original: np.ndarray, image: np.ndarray) -> tuple[Tensor, Tensor] | None:
-    """Of which number of the original, and with which sign, each number of the image is; None where there is none.
+    """Index and sign of the number of the original for each number of the image; None if there is none.
 
     Args:
         original: samples, ``[sample, number]``.
@@ -136,7 +135,7 @@ def _signed_permutation(original: np.ndarray, image: np.ndarray) -> tuple[Tensor
     likeness = (image.T @ original) / np.maximum(np.outer(size[1], size[0]), 1e-12)
     still = size[1] < 1e-9  # numbers that are always 0 are their own images
     likeness[still, still] = 1.0
-    # where several are alike, the number itself goes first
+    # of several equal numbers, the number itself is taken first
     nearest = np.argmax(np.abs(likeness) + 1e-6 * np.eye(len(likeness)), axis=1)
     rows = np.arange(len(nearest))
     sign = np.sign(likeness[rows, nearest])

@@ -1,4 +1,4 @@
-"""What a policy sees: observation terms side by side, with noise, resolution, delay and history."""
+"""Observation of a policy: concatenated terms with noise, resolution, delay and history."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ OPTIONS = {"noise": 0.0, "resolution": 0.0, "delay": 0}
 
 
 def layout_slices(layout: Mapping[str, int]) -> dict[str, slice]:
-    """Where each part of one observation lies on its last axis."""
+    """Slice of each part of one observation on its last axis."""
     edges = pairwise(accumulate(layout.values(), initial=0))
     return {name: slice(first, last) for name, (first, last) in zip(layout, edges, strict=True)}
 
 
 class Observer:
-    """Turns what robots sense into what their policy sees.
+    """Computes observations from the sensor readings of robots.
 
     A term's options: ``noise``, standard deviation of a normal distribution added to every number; ``resolution``, the
-    step to which numbers are rounded; both in the unit of the term; ``delay``, policy steps by which it is late.
+    step to which numbers are rounded; both in the unit of the term; ``delay``, in policy steps.
 
     Args:
         terms: of one observation, in order.
         history: number of earlier observations that follow the latest, newest first (paper: 1 for balance, 3 for
             walking).
-        example: what one robot senses, ``[1, ...]``; the widths of the terms follow from it.
+        example: sensor readings of one robot, ``[1, ...]``, which determine the widths of the terms.
 
     Attributes:
         layout: name and width of each term, in order.
@@ -65,16 +65,16 @@ class Observer:
 
     @property
     def size(self) -> int:
-        """Numbers that the policy sees, history included."""
+        """Numbers in the policy's observation, with history."""
         return sum(self.layout.values()) * (self.history + 1)
 
     def reset(
         self, sensed: Sensed, rows: Tensor | None = None, noise: Sequence[np.random.Generator] | None = None
     ) -> Tensor:
-        """Episodes begin; the first observation stands in for those before it.
+        """Start episodes; the first observation is repeated for those before it.
 
         Args:
-            rows: mask over the first axis of those that begin anew; None for all.
+            rows: mask over the first axis of robots whose episodes start; None for all.
             noise: generator of each robot; None: no noise.
 
         Returns:
@@ -119,7 +119,7 @@ class Observer:
         return torch.cat(parts, -1)
 
     def _delayed(self, term: Term, value: Tensor, rows: Tensor | None, begins: bool) -> Tensor:
-        """The value of some steps ago; at the start of an episode the first one."""
+        """The value some steps earlier; at the start of an episode the first value."""
         earlier = self._late.get(term.name)
         if begins:
             fresh = [value] * (term.options["delay"] + 1)

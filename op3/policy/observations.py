@@ -1,7 +1,7 @@
-"""Observation terms: functions of what a robot senses, the same in simulation and on the robot.
+"""Observation terms: functions of a robot's sensor readings, the same in simulation and on the robot.
 
 Each takes a `Sensed` and its own parameters and returns ``[..., number]`` in SI units. A parameter called ``robot``
-gets the robot. A function of a package of your own serves as well; the task names it by ``function``.
+gets the robot. A function of your own package works too; the task names it by ``function``.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """What the computer of a robot knows at a policy step, float64 tensors ``[..., number]``.
+    """Values that a robot's computer has at a policy step, float64 tensors ``[..., number]``.
 
     Attributes:
         joint_position: measured, ``[..., joint]`` in rad, in the robot's order.
         joint_velocity: measured, ``[..., joint]`` in rad/s.
         previous_action: the policy's last action, ``[..., action]`` in [-1, 1].
-        orientation: roll, pitch and yaw of the base, ``[..., 3]`` in rad; yaw counts from where the episode began. None
-            without an IMU.
+        orientation: roll, pitch and yaw of the base, ``[..., 3]`` in rad; yaw is relative to the beginning of the
+            episode. None without an IMU.
         angular_velocity: in the base's frame, ``[..., 3]`` in rad/s. None without an IMU.
         phase: of the gait, ``[...]`` in cycles; None for a task without a gait.
         commands: by name, ``[..., number]``.
@@ -79,7 +79,7 @@ def joint_position(sensed: Sensed, robot: Robot) -> Tensor:
 
 
 def tip_position(sensed: Sensed, robot: Robot) -> Tensor:
-    """Where the tip of an arm is relative to its base, by its joint angles [m]."""
+    """Position of the tip of an arm relative to its base, from its joint angles [m]."""
     return tip_kinematics(robot, sensed.joint_position.device).position(sensed.joint_position.double())
 
 
@@ -94,7 +94,7 @@ def previous_action(sensed: Sensed) -> Tensor:
 
 
 def orientation(sensed: Sensed, yaw: bool = True) -> Tensor:
-    """Roll, pitch and, unless it is left out, yaw of the base [rad]."""
+    """Roll, pitch and, unless omitted, yaw of the base [rad]."""
     return _of_imu(sensed.orientation)[..., : 3 if yaw else 2]
 
 
@@ -122,7 +122,7 @@ def command(sensed: Sensed, name: str = "velocity") -> Tensor:
 
 
 def heading_error(sensed: Sensed) -> Tensor:
-    """Measured heading less that which the commanded velocity asks for [rad]."""
+    """Measured heading minus the heading of the commanded velocity [rad]."""
     reference = _asked(sensed, "heading")
     return wrapped(_of_imu(sensed.orientation)[..., 2:] - reference)
 

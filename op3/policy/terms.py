@@ -15,22 +15,22 @@ FUNCTION = "function"
 
 
 class Term:
-    """One term: a function of the state and its parameters, or an instance of a class that keeps a memory.
+    """One term: a function of the state and its parameters, or an instance of a class with memory.
 
-    Parameters that the configuration does not give, but which the signature names, come from the context: ``robot``,
-    ``scene``, ``num_envs`` and what else the caller offers.
+    Parameters in the signature without a value in the configuration come from the context: ``robot``, ``scene``,
+    ``num_envs`` and others that the caller provides.
 
     Args:
-        kind: list of terms that it stands in, for messages.
+        kind: kind of the term, for messages.
         spec: its configuration.
         home: module in which short names are looked up.
         context: values of parameters that the configuration need not give.
         options: see `options`, with the values that they have where the configuration does not give them.
-        inputs: number of arguments of a function that are no parameters: the state, for events the world and the time.
+        inputs: number of arguments that are not parameters: the state; for events, the world and the time.
 
     Attributes:
         name: of the term in its task.
-        options: fields of the configuration that belong to the list of terms and not to the function, as ``weight``.
+        options: fields of the configuration that are not parameters of the function, such as ``weight``.
 
     Raises:
         ValueError: in one sentence with the term, the field and the nearest name, if the function does not exist, or a
@@ -85,7 +85,7 @@ class Term:
         return self.target(*inputs) if self.keeps_memory else self.target(*inputs, **self.parameters)
 
     def hook(self, name: str) -> Callable[..., Any] | None:
-        """A method of the instance by its name; None where it has none."""
+        """A method of the instance by its name; None if it has none."""
         return getattr(self.target, name, None) if self.keeps_memory else None
 
     def set(self, field: str, value: Any) -> None:
@@ -120,7 +120,7 @@ def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:
 
 
 def _arguments(function: Any, inputs: int) -> dict[str, inspect.Parameter]:
-    """Parameters that a configuration may give: of a class all, of a function all behind its inputs."""
+    """Parameters that a configuration may set: all of a class, and all of a function after its inputs."""
     found = list(inspect.signature(function).parameters.items())
     found = found if inspect.isclass(function) else found[inputs:]
     return {name: p for name, p in found if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}

@@ -1,4 +1,4 @@
-"""Where the arrays of a simulation hold what tasks look at."""
+"""Indices of the values that tasks read from the arrays of a simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies without learning: what any trained one must beat."""
+"""Fixed policies without learning, as baselines for trained ones."""
 
 import dataclasses
 from math import pi
@@ -17,7 +17,7 @@ class Hold:
     """Holds the stand pose, stiffly by default.
 
     Args:
-        action_map: what actions mean.
+        action_map: the task's action map.
         p_gain: of every controlled joint [A/rad]; None: the highest, 6 A/rad.
     """
 
@@ -25,7 +25,7 @@ class Hold:
         self._action = torch.from_numpy(action_map.stand(p_gain))
 
     def act(self, observation: Tensor) -> Tensor:
-        """The same action, whatever is seen: ``[..., action]``."""
+        """The same action for every observation, ``[..., action]``."""
         return self._action.to(observation).expand(*observation.shape[:-1], -1)
 
 
@@ -61,7 +61,7 @@ _DUTY_PER_ERROR = 4096 / (2 * pi) / 128 / 885
 
 
 class StiffWalk:
-    """The walk that the OP3 comes with, on servos in position mode; it needs a model made by `position_mode`.
+    """The walk that is shipped with the OP3, on servos in position mode; it needs a model made by `position_mode`.
 
     Args:
         firmware_gain: position P gain register of the servos.
@@ -73,7 +73,7 @@ class StiffWalk:
         self._hold = Hold(ActionMap.around_stand(load_robot("op3")))
 
     def act(self, observation: Tensor) -> Tensor:
-        """What a policy that holds would do; `commands` goes before it."""
+        """The stand pose; `commands` overrides it."""
         return self._hold.act(observation)
 
     def commands(self, time: Tensor) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""What a policy does, read from its log: gains in stance and swing, tilt, and the gait's profile."""
+"""Behaviour of a policy in its log: gains in stance and swing, tilt, and the gait's profile."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ def foot_of(joint: str, robot: Robot) -> int:
 
 @dataclass(frozen=True, eq=False)
 class GaitProfile:
-    """A joint over the phase of the gait, means of all cycles.
+    """A joint over the phase of the gait, averaged over all cycles.
 
     Attributes:
         phase: middle of each bin in cycles, [bin].
@@ -34,7 +34,7 @@ class GaitProfile:
         target_deviation: its standard deviation [rad], [bin].
         gain: commanded P gain [A/rad], [bin].
         gain_deviation: its standard deviation [A/rad], [bin].
-        stance: whether the gait asks the joint's foot to carry, [bin].
+        stance: whether the joint's foot should be in stance, [bin].
     """
 
     phase: NDArray[np.float64]
@@ -46,7 +46,7 @@ class GaitProfile:
 
 
 def in_stance(log: Rollout, task: str | Task) -> NDArray[np.bool_]:
-    """Whether the gait asks the left and the right foot to carry, [time, 2]; always, in a task without a gait."""
+    """Whether the left and the right foot should be in stance, [time, 2]; always in a task without a gait."""
     task = find_task(task)
     if task.cycle is None:
         return np.ones((log.rows, 2), dtype=bool)
@@ -87,10 +87,10 @@ def gait_profile(
     """Target and P gain of one joint over the gait (paper, figure of the walking policy).
 
     Args:
-        logs: episodes of walking; rows of one phase are put together.
+        logs: episodes of walking; rows of the same phase are averaged.
         joint: name; None: the last but one of the right leg, an ankle.
         bins: parts of the cycle; bins without a row are NaN.
-        skip: time at the beginning that is left out [s].
+        skip: time at the beginning that is omitted [s].
 
     Raises:
         ValueError: if the task has no gait.

@@ -1,4 +1,4 @@
-"""Commands: what robots are asked for, drawn anew for every episode and known to the policy.
+"""Commands to robots, drawn for every episode and observed by the policy.
 
 A command is a class with ``at(time)``, ``[env, number]``, and any of ``begin(episodes)``, ``begun(rows, yaw)`` and
 ``follow(yaw, commands)``; its attribute ``mirror`` has the signs of its numbers in the robot's plane of symmetry.
@@ -26,8 +26,8 @@ Range = tuple[float, float] | list[float]
 class Velocity:
     """Velocity forwards and to the left [m/s] and rate of turning [rad/s], ``[env, 3]``, in the robot's heading.
 
-    A command is drawn uniformly from the ranges and held for an interval. An exact zero, and turning on the spot, have
-    shares of their own: drawn from ranges alone they would never occur, and so never be learned.
+    A command is drawn uniformly from the ranges and held for an interval. Standing and turning on the spot have
+    separate probabilities: drawn from the ranges alone they would never occur.
 
     Args:
         forward: least and greatest [m/s].
@@ -39,8 +39,8 @@ class Velocity:
         straight_share: probability of moving without turning.
         single_share: probability of one of the three numbers alone: forward, sideways or turning on the spot.
         scale: factor on all ranges, which a curriculum may raise from 0 to 1.
-        corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: what
-            is drawn beyond the ellipsoid of the ranges is brought back to it. A curriculum may raise it.
+        corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: draws
+            outside the ellipsoid of the ranges are scaled back to it. A curriculum may raise it.
     """
 
     mirror = (1.0, -1.0, -1.0)
@@ -91,17 +91,17 @@ class Velocity:
             self._schedule[row] = torch.from_numpy(drawn)
 
     def at(self, time: Tensor) -> Tensor:
-        """The commands in force at a time of each episode [s], ``[env, 3]``."""
+        """The current commands at a time of each episode [s], ``[env, 3]``."""
         number = ((time + self._shift) / self._interval).long().clamp(max=self._count - 1)
         return _held(self._schedule, number)
 
 
 class Stepwise:
-    """The same commands for all robots, each held until the next, ``[env, number]``.
+    """The same commands for all robots, each held until the next one, ``[env, number]``.
 
     Args:
-        times: when each begins [s], rising from 0.
-        values: of each.
+        times: start of each command [s], rising from 0.
+        values: the commands.
     """
 
     def __init__(self, num_envs: int, times: Iterable[float], values: Iterable[Iterable[float]]):
@@ -112,12 +112,12 @@ class Stepwise:
             raise ValueError(f"times must rise from 0 and there must be a value for each, got {self._times.tolist()}")
 
     def at(self, time: Tensor) -> Tensor:
-        """The commands in force at a time of each episode [s]."""
+        """The current commands at a time of each episode [s]."""
         return self._values[torch.searchsorted(self._times, time + 1e-9, side="right") - 1]
 
 
 class Heading:
-    """The heading that a velocity command asks for, ``[env, 1]`` in rad; see `op3.policy.heading`.
+    """The heading that follows from a velocity command, ``[env, 1]`` in rad; see `op3.policy.heading`.
 
     Args:
         rate: name of the command whose last number is a rate of turning.
@@ -144,14 +144,14 @@ class Heading:
 
 
 class Target:
-    """A place for the tip of an arm, relative to its base and in the base's frame, ``[env, 3]`` in m.
+    """A target position for the tip of an arm, relative to its base and in the base's frame, ``[env, 3]`` in m.
 
-    Places are where the tip is in random poses within the robot's limits, so that each can be reached.
+    Targets are tip positions in random poses within the robot's limits, so that each can be reached.
 
     Args:
-        share: of the range of each joint about its middle from which poses are drawn.
-        least_height: of a place above the base's origin [m].
-        interval: how long a place is held [s]; None: for the whole episode.
+        share: share of each joint's range, about its middle, from which poses are drawn.
+        least_height: smallest height of a target above the base's origin [m].
+        interval: time for which a target is held [s]; None: the whole episode.
     """
 
     mirror = (1.0, -1.0, 1.0)
@@ -174,12 +174,12 @@ class Target:
         self._places = torch.zeros(num_envs, self._count, 3, dtype=torch.float64)
 
     def begin(self, episodes: Episodes) -> None:
-        """Draw the places of whole episodes."""
+        """Draw the targets of whole episodes."""
         for row, generator in zip(episodes.rows, episodes.generators(6), strict=True):
             self._places[row] = torch.tensor(np.array([self._draw(generator) for _ in range(self._count)]))
 
     def at(self, time: Tensor) -> Tensor:
-        """The places in force at a time of each episode [s], ``[env, 3]``."""
+        """The current targets at a time of each episode [s], ``[env, 3]``."""
         return _held(self._places, (time / self._interval).long().clamp(max=self._count - 1))
 
     def _draw(self, generator: np.random.Generator) -> np.ndarray:

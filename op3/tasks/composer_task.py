@@ -1,4 +1,4 @@
-"""A task as a dm_control composer task: the stepper for one robot, beside the batched one."""
+"""A task as a dm_control composer task, for one robot."""
 
 from typing import Any
 
@@ -27,12 +27,12 @@ PHYSICS_TIMESTEP = 0.001
 class ComposerTask(composer.Task):
     """A robot at a task; the action is the policy's.
 
-    Build an environment with `composer_environment`: only then is the order of steps that of the batched environment,
-    whose observations and rewards this one gives to rounding. A time step's ``observation`` has one entry of that name,
-    history included; the servos' observables are there too, disabled.
+    Build an environment with `composer_environment`: it takes steps in the order of the batched environment, whose
+    observations and rewards this task reproduces up to rounding. A time step has one entry ``observation``, with
+    history; the servos' observables exist but are disabled.
 
     Args:
-        seed: of everything random; episodes are those of the batched environment's first robot.
+        seed: seed of the episodes, which are those of the batched environment's first robot.
     """
 
     def __init__(self, task: Task, model: RobotModel, seed: int = 0, action_map: ActionMap | None = None):
@@ -66,7 +66,7 @@ class ComposerTask(composer.Task):
 
     @property
     def task_observables(self) -> dict[str, observable.Observable]:
-        """What the policy sees."""
+        """The policy's observation."""
         return self._observables
 
     def action_spec(self, physics: Any) -> specs.BoundedArray:
@@ -75,7 +75,7 @@ class ComposerTask(composer.Task):
         return specs.BoundedArray((self.action_map.size,), np.float64, minimum=-1.0, maximum=1.0)
 
     def after_compile(self, physics: Any, random_state: Any) -> None:
-        """Find sensors, and let events find what they change."""
+        """Look up sensors, and call `attach` of all events."""
         del random_state
         model, data = physics.model.ptr, physics.data.ptr
         with_feet = self.task.gait is not None
@@ -95,7 +95,7 @@ class ComposerTask(composer.Task):
         )
 
     def initialize_episode(self, physics: Any, random_state: Any) -> None:
-        """Put the robot down for the next episode; the servos' own hook follows."""
+        """Place the robot for the next episode; the servos' own hook follows."""
         del random_state
         seed = episode_seed(self._seed, 0, self._episodes)
         self._episodes += 1
@@ -122,14 +122,14 @@ class ComposerTask(composer.Task):
         self._substep += 1
 
     def after_substep(self, physics: Any, random_state: Any) -> None:
-        """Look at what the step's means and peaks are made of."""
+        """Add to the step's means and peaks."""
         del random_state
         data = physics.data.ptr
         arrays = (data.qpos, data.qvel, data.sensordata, data.site_xpos, self.servos.motor_current)
         self._whole_step.look(*(array[None] for array in arrays))
 
     def after_step(self, physics: Any, random_state: Any) -> None:
-        """Judge the step."""
+        """Compute reward, termination and observation."""
         del random_state
         data = physics.data.ptr
         failed = torch.tensor([not np.isfinite(data.qacc).all() or bool(data.warning.number.any())])
@@ -154,7 +154,7 @@ class ComposerTask(composer.Task):
         return 0.0 if self.outcome is not None and bool(self.outcome.terminated) else 1.0
 
     def _observe(self, physics: Any) -> np.ndarray:
-        """What the policy sees; the servos have begun when the first observation of an episode is asked for."""
+        """The policy's observation; the first one of an episode is requested after the servos have begun."""
         if self._begins:
             self.observation, self._begins = self.mdp.begun(self._snapshot(physics)), False
         return self.observation[0].numpy()

@@ -1,4 +1,4 @@
-"""Episodes that begin: each a pure function of its seed, for every simulator."""
+"""Initial states of episodes, pure functions of their seeds for every simulator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def episode_seed(seed: int, index: int, episode: int) -> int:
-    """The seed of an environment's k-th episode, whatever happens in the others."""
+    """The seed of an environment's k-th episode, independent of all other environments."""
     return int(np.random.SeedSequence([seed, index, episode]).generate_state(1)[0])
 
 
@@ -25,8 +25,8 @@ class Episodes:
     Attributes:
         rows: numbers of these robots, ``[row]``.
         seeds: of their episodes, ``[row]``.
-        qpos: where they will be put down, ``[row, nq]``; an event may change it.
-        qvel: and how fast they move, ``[row, nv]``; an event may change it.
+        qpos: initial positions, ``[row, nq]``; an event may change them.
+        qvel: initial velocities, ``[row, nv]``; an event may change them.
     """
 
     rows: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""R_eval: what an episode was worth, as one function of its log, for simulation and robot alike.
+"""R_eval: the return of an episode as a function of its log, in simulation and on the robot.
 
 The paper evaluates eq. (8) with the last column of Table II. A robot knows no velocity of its body, so balance takes it
 from the body's rates, and walking from the distance travelled (paper, section "Task for Evaluation").
@@ -21,20 +21,20 @@ COMMAND_WEIGHT, SMOOTH_WEIGHT, STEEPNESS = 0.6, 0.1, (2.0, 2.0)
 
 
 def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
-    """R_eval of every policy step; of a task without the paper's ``command`` term the rewards that it logged.
+    """R_eval of every policy step; the logged rewards for a task without the paper's ``command`` term.
 
-    A step is judged by the sensors at its beginning, when its action was chosen; the action before the first counts as
-    equal to it.
+    A step is evaluated with the sensors at its beginning, when its action was chosen; the action before the first
+    counts as equal to it.
 
     Args:
         log: of one episode, with the channels of `op3.envs.record_episodes`.
-        task: that was attempted; None: the one that the metadata name in ``extra["task"]``.
+        task: task of the episode; None: the one that the metadata name in ``extra["task"]``.
 
     Returns:
         ``[step]``.
 
     Raises:
-        LogError: if the log lacks a channel or a field of its metadata.
+        LogError: if a channel or a field of the metadata is missing.
     """
     if log.batched:
         raise LogError("R_eval is of one episode, but the log has many", "give log.episodes() one by one")
@@ -103,14 +103,14 @@ def evaluation_return(log: Rollout, task: str | Task | None = None) -> float:
 
 
 def stood(log: Rollout) -> bool:
-    """Whether a robot was upright to the end of its episode and, where it was moved to an end pose, on that way too."""
+    """Whether a robot was upright until the end of its episode, including any motion to an end pose."""
     return not _field(log, "fallen", log.metadata.fallen) and "afterwards" not in log.metadata.extra
 
 
 def succeeded(log: Rollout, task: str | Task) -> bool:
-    """Whether an episode is what the task asks for, by its ``success``: of walking, upright to the end and forwards.
+    """Whether an episode succeeded by the task's ``success``; in walking, upright to the end and forwards.
 
-    A simulated episode has it in its metadata. Of a robot's, the distance that was measured there is compared.
+    A simulated episode has the result in its metadata. For a real one, the measured distance is compared.
     """
     if not stood(log):
         return False
@@ -123,7 +123,7 @@ def succeeded(log: Rollout, task: str | Task) -> bool:
 
 
 def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of a policy's steps in an episode, and the row of each, in which it acted; a loop may skip rows.
+    """Numbers of a policy's steps in an episode, and the row of each; a loop may skip rows.
 
     Args:
         rate: of the policy [Hz].
@@ -146,7 +146,7 @@ def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np
 
 
 def paper_reward(task: Task) -> bool:
-    """Whether R_eval judges a task: the paper's balancing or walking, at one velocity."""
+    """Whether R_eval is defined for a task: the paper's balancing or walking, at one velocity."""
     return "command" in task.terms("rewards") and not task.commands
 
 

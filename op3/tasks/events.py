@@ -1,4 +1,4 @@
-"""Events: what happens to robots when an episode begins and at every tick of their control.
+"""Events: changes to robots and scenes when an episode begins and at every control tick.
 
 An event is a class with any of the methods ``attach(world)``, ``begin(episodes)`` and ``tick(time)``, or a function
 ``(world, time, ...)`` that is called at every tick; see `op3.tasks.episodes`.
@@ -32,7 +32,7 @@ BoardMotion = Literal["still", "waves", "tilts", "weight"]
 
 
 class Placement:
-    """Scatters the start of an episode about the home pose at rest; standard deviations, ours.
+    """Random initial states about the home pose at rest; standard deviations, our own choice.
 
     Args:
         joint_position: of each controlled joint [rad].
@@ -55,7 +55,7 @@ class Placement:
         self._first = 6 if scene.floating else 0
 
     def begin(self, episodes: Episodes) -> None:
-        """Put robots down."""
+        """Set the initial states."""
         angle, rate, velocity, spin = self._scatter
         moved = self._robot.indices(self._robot.controlled)
         for row, generator in enumerate(episodes.generators(1)):
@@ -66,7 +66,7 @@ class Placement:
             if self._first:
                 episodes.qvel[row, 0:2] = velocity * generator.standard_normal(2)
                 episodes.qvel[row, 3:5] = spin * generator.standard_normal(2)
-            # a free base and the joints come first; what else the scene holds starts at rest
+            # a free base and the joints come first; all else in the scene starts at rest
             episodes.qvel[row, self._first + moved] = rate * generator.standard_normal(len(moved))
 
 
@@ -86,7 +86,7 @@ class Board:
         self._motions: dict[int, Any] = {}
 
     def attach(self, world: World) -> None:
-        """The simulation is made."""
+        """The simulation exists."""
         self._world, self._drive = world, None
 
     def begin(self, episodes: Episodes) -> None:
@@ -104,7 +104,7 @@ class Board:
 
 
 def board_motion(motion: BoardMotion, seed: int, amplitude: float = WAVE_AMPLITUDE) -> Waves | Tilts | WeightSchedule:
-    """What moves a board in the episode of a seed; see `Board`."""
+    """The motion of a board in the episode of a seed; see `Board`."""
     if motion == "still":
         return Waves.still()
     if motion == "waves":
@@ -117,7 +117,7 @@ class Terrain:
 
     Args:
         height: of the highest tile above the floor [m], at most 0.01.
-        steps: probability that all tiles lie either on the floor or at that height.
+        steps: probability that every tile has either no height or that height.
     """
 
     def __init__(self, height: float = TILE_HEIGHT, steps: float = 0.0):
@@ -128,13 +128,13 @@ class Terrain:
         self.height, self.steps = height, steps
 
     def attach(self, world: World) -> None:
-        """The simulation is made."""
+        """The simulation exists."""
         self._tiles, self._geom_pos = tile_ids(world.model), world.geom_pos
         if self._geom_pos is None:
             raise ValueError("events.terrain: the scene has no tiles; take scene: terrain")
 
     def heights(self, seed: int) -> Array:
-        """Of the tiles in the episode of a seed [m], ``[tile]``."""
+        """Heights of the tiles in the episode of a seed [m], ``[tile]``."""
         return draw_tiles(seed, self.height, self.steps)
 
     def begin(self, episodes: Episodes) -> None:
@@ -145,11 +145,11 @@ class Terrain:
 
 
 class Pushing:
-    """Pushes the base in one of eight directions, once at a random time of the gait, or again and again.
+    """Pushes the base in one of eight directions, once at a random time of the gait, or repeatedly.
 
     Args:
         impulse: of a push [N s].
-        every: mean time between pushes [s]; None: one push an episode.
+        every: mean time between pushes [s]; None: one push per episode.
         uniform: whether sizes are drawn between 0 and `impulse`.
     """
 
@@ -168,7 +168,7 @@ class Pushing:
         self._pushes = [Pushes([Push.towards(0, 0.0, 0.0)] * num_envs) for _ in range(self._count)]
 
     def attach(self, world: World) -> None:
-        """The simulation is made."""
+        """The simulation exists."""
         self._wrench = world.base_wrench
 
     def begin(self, episodes: Episodes) -> None:
@@ -193,7 +193,7 @@ class Pushing:
 
 
 class Randomisation:
-    """Draws the parameters of each robot's model anew for every episode.
+    """Draws the parameters of each robot's model for every episode.
 
     Args:
         source: ``ranges``: uniform over the plausible ranges (the paper's Table I). ``intervals``: uniform over the
@@ -212,7 +212,7 @@ class Randomisation:
         self.drawn = {name: torch.zeros(num_envs, dtype=torch.float64) for name in self._ranges.bounds(model)}
 
     def attach(self, world: World) -> None:
-        """The simulation is made."""
+        """The simulation exists."""
         if world.set_parameters is None:
             raise ValueError("events.randomisation needs the batched environment")
         self._set = world.set_parameters

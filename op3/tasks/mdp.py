@@ -1,4 +1,4 @@
-"""The decision process of a task for many robots at once: what they see, what they earn, when an episode ends."""
+"""The Markov decision process of a task for many robots: observations, rewards and ends of episodes."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ HOMES: Mapping[str, Any] = {
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a policy step led to, tensors ``[env, ...]``.
+    """Result of a policy step, tensors ``[env, ...]``.
 
     Attributes:
-        observation: history included.
+        observation: with history.
         reward: ``[env]``.
         terms: weighted contributions to the reward by name, ``[env]``; the reward is their sum.
         terminated: the robot failed, or its simulation did.
         truncated: the time is over.
-        success: the robot does what the task asks, and has not failed.
+        success: the terms of ``success`` hold, and the robot has not failed.
     """
 
     observation: Tensor
@@ -59,7 +59,7 @@ class Outcome:
 
 
 class Mdp:
-    """A task compiled for so many robots: its terms, and the little memory they need. It simulates nothing.
+    """A task for a number of robots: its terms and their memory. It simulates nothing.
 
     Made and called under ``with torch.device("cuda")``, it and its terms have their tensors there.
 
@@ -67,14 +67,14 @@ class Mdp:
         model: of the servos, from which randomisation draws.
 
     Attributes:
-        readings: what the computer read last, in whole counts: joint_position, joint_velocity, orientation and
+        readings: latest sensor readings, quantised: joint_position, joint_velocity, orientation and
             angular_velocity, ``[env, joint | 3]``.
         terms: by kind and name.
-        state: what the terms saw at the end of the last policy step.
-        privileged: what critics alone see, ``[env, number]``; see `op3.tasks.privileged`.
+        state: state at the end of the last policy step.
+        privileged: observations for critics only, ``[env, number]``; see `op3.tasks.privileged`.
 
     Raises:
-        ValueError: naming the term and the field that cannot be.
+        ValueError: naming the term and the field that is invalid.
     """
 
     def __init__(self, task: Task, scene: Scene, model: RobotModel, action_map: ActionMap, num_envs: int):
@@ -120,7 +120,7 @@ class Mdp:
         return 0.0 * self.time if cycle is None else torch.remainder(self.time / cycle + self._first_phase, 1.0)
 
     def event(self, name: str) -> Any:
-        """The instance of an event by its name; None where the task has none of this name."""
+        """The instance of an event by its name; None if the task has none of this name."""
         term = self.terms["events"].get(name)
         return None if term is None else term.target
 
@@ -137,7 +137,7 @@ class Mdp:
         self.terms[kind][name].set(field, value)
 
     def attach(self, world: World) -> None:
-        """The simulation has been made; events look up what they change."""
+        """The simulation exists; events look up the arrays that they change."""
         self._world = world
         for term in self.terms["events"].values():
             if hook := term.hook("attach"):
@@ -151,7 +151,7 @@ class Mdp:
             seeds: of their episodes, ``[row]``.
 
         Returns:
-            Where they must be put down, before `begun` is called.
+            Initial states to set before `begun` is called.
         """
         world = self._world
         qpos = np.tile(self.scene.initial_qpos(self.robot.home), (len(rows), 1))
@@ -178,7 +178,7 @@ class Mdp:
         return episodes
 
     def begun(self, snapshot: Snapshot) -> Tensor:
-        """The robots have been put down; returns the observation of all, ``[env, observation]``."""
+        """The initial states have been set; returns the observation of all robots, ``[env, observation]``."""
         for term in self.terms["commands"].values():
             if hook := term.hook("begun"):
                 hook(self._begun, snapshot.readings["orientation"][:, 2])
@@ -205,7 +205,7 @@ class Mdp:
         """A policy step is over.
 
         Args:
-            action: taken at its beginning, ``[env, action]``; beyond [-1, 1] it counts as clipped, as it was commanded.
+            action: taken at its beginning, ``[env, action]``; clipped to [-1, 1], as in the command.
             failed: simulations that diverged, ``[env]``.
         """
         action = action.clamp(-1.0, 1.0)
@@ -231,7 +231,7 @@ class Mdp:
         self._previous = action
         observation = self.observer.push(self._sense(snapshot), self._noise)
         self.privileged = self._privileged(state, self.terms["privileged"])
-        # what a diverged state would say is worth nothing
+        # values of a diverged state are meaningless
         reward, observation = torch.where(failed, 0.0, reward), torch.where(failed[:, None], 0.0, observation)
         terms = {name: torch.where(failed, 0.0, term) for name, term in terms.items()}
         self.privileged = torch.where(failed[:, None], 0.0, self.privileged)

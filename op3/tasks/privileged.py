@@ -1,8 +1,8 @@
-"""Privileged observations: what a simulation knows of a robot and the robot does not; critics alone see them.
+"""Privileged observations: values that only a simulation has, for critics only.
 
-Asymmetric actor-critic (Pinto et al. 2017): a policy must do with its sensors, while the critics that train it may see
+Asymmetric actor-critic (Pinto et al. 2017): a policy can only use sensors, while the critics that train it may use
 more. A term is a function or class of the state that returns ``[env, number]``; its attribute ``mirror`` has one sign
-for each number, that of its image in the robot's plane of symmetry. A class keeps a memory and says 0 when an episode
+for each number, that of its image in the robot's plane of symmetry. A class has memory and returns 0 when an episode
 begins.
 """
 
@@ -22,7 +22,7 @@ __all__ = ["VelocityError", "base_height", "heading_velocity"]
 
 
 def mirrored(*signs: float) -> Callable[[Any], Any]:
-    """Give a term the signs of its image, one for each of its numbers."""
+    """Set the signs of a term's mirror image, one for each of its numbers."""
 
     def marked(term: Any) -> Any:
         term.mirror = signs
@@ -39,13 +39,13 @@ def heading_velocity(state: State) -> Tensor:
 
 @mirrored(1.0)
 def base_height(state: State) -> Tensor:
-    """Of the base's origin above the ground's [m]."""
+    """Height of the base's origin above the ground [m]."""
     return state.base_height[:, None]
 
 
 @mirrored(1.0, -1.0, -1.0)
 class VelocityError:
-    """Velocity less the commanded one [m/s, m/s, rad/s], averaged over a stride.
+    """Velocity minus the commanded velocity [m/s, m/s, rad/s], averaged over a stride.
 
     Args:
         time_constant: of the average [s].

@@ -1,4 +1,4 @@
-"""Robots drawn anew for every episode: from the paper's ranges, or from a model's own intervals."""
+"""Random robot parameters for every episode, from the paper's ranges or from a model's own intervals."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -25,7 +25,7 @@ TABLE_I = (
 
 @settings("randomisation")
 class ParameterRanges:
-    """Where parameters are drawn from.
+    """Distribution of the parameters.
 
     Attributes:
         source: ``ranges``: uniform over the plausible ranges of `names`, which for the paper's parameters are those of
@@ -57,6 +57,6 @@ class ParameterRanges:
         return found  # type: ignore[return-value]
 
     def draw(self, model: RobotModel, seed: int) -> dict[str, float]:
-        """The parameters of the robot of a seed, shared by its joints; those that differ go along."""
+        """The parameters of the robot of a seed, shared by its joints; values of single joints change in proportion."""
         rng = np.random.default_rng([seed, 2])
         return {name: float(rng.uniform(low, high)) for name, (low, high) in self.bounds(model).items()}

@@ -1,4 +1,4 @@
-"""Robots at one time: what their sensors say, and what only a simulator knows."""
+"""Robots at one time: sensor readings, and values that only a simulator has."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -22,7 +22,7 @@ class Snapshot:
     """Robots at one time, tensors ``[sim, ...]``.
 
     Attributes:
-        readings: what sensors say before quantisation: joint_position [rad], joint_velocity [rad/s], orientation [rad],
+        readings: sensor readings before quantisation: joint_position [rad], joint_velocity [rad/s], orientation [rad],
             angular_velocity [rad/s].
         current: of the motors, ``[sim, joint]`` in A.
         specific_force: of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
@@ -30,7 +30,7 @@ class Snapshot:
         height: of the base's origin above the ground's, ``[sim]`` in m.
         velocity: of the base in the world, ``[sim, 3]`` in m/s.
         quaternion: of the base in the world, ``[sim, 4]``, w first.
-        tip: how far ahead the inner tip of the foremost foot is in the world, ``[sim]`` in m; None without a gait.
+        tip: forward position of the inner tip of the foremost foot in the world, ``[sim]`` in m; None without a gait.
         tip_position: of an arm's tip relative to the base, in its frame, ``[sim, 3]`` in m; None without one.
     """
 
@@ -45,7 +45,7 @@ class Snapshot:
     tip_position: Tensor | None = None
 
     def at_the_end(self, step: Throughout) -> Throughout:
-        """A policy step as if its currents and the body's motion had been all the time as they are now."""
+        """A policy step with constant currents and body motion, equal to the present ones."""
         acceleration = rewards.norm(rewards.body_acceleration(self.specific_force, self.readings["orientation"]))
         rate = rewards.norm(self.readings["angular_velocity"])
         return step.replace(current=rewards.norm(self.current), angular_velocity=rate, acceleration=acceleration)
@@ -64,7 +64,7 @@ class Probe:
     """Takes snapshots of robots from the arrays of their simulation.
 
     Args:
-        feet: whether to look at the feet, which walking needs.
+        feet: whether to read the feet, as walking needs.
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, feet: bool):

@@ -1,4 +1,4 @@
-"""What terms of a task see: the state of many robots after a policy step."""
+"""The state of many robots after a policy step, which is the input of terms."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class State:
         previous_action: the one before.
         time: since each episode began [s], ``[env]``.
         phase: of the gait in cycles, ``[env]``; zeros for a task without a gait.
-        commands: what robots are asked for, by name, ``[env, number]``.
+        commands: current commands by name, ``[env, number]``.
     """
 
     snapshot: Snapshot
@@ -84,7 +84,7 @@ class State:
         return torch.stack([cosine * x + sine * y, cosine * y - sine * x, (upwards * self.angular_velocity).sum(1)], -1)
 
     def along(self, command: str) -> tuple[Tensor, Tensor]:
-        """Speed in the direction of a commanded velocity, and the commanded speed, ``[env]`` in m/s; turning aside."""
+        """Speed in the direction of a commanded velocity, and the commanded speed, ``[env]`` in m/s."""
         asked = self.commands[command][:, :2]
         speed = torch.linalg.vector_norm(asked, dim=1)
         return (self.heading_velocity[:, :2] * asked).sum(1) / speed.clamp(min=1e-9), speed

@@ -1,4 +1,4 @@
-"""Successes: functions of the state of many robots that return whether they have done what the task asks, ``[env]``.
+"""Success terms: functions of the state of many robots that return whether each has reached its goal, ``[env]``.
 
 An episode succeeds if it does not fail, and all of these hold at its last step.
 """
@@ -17,7 +17,7 @@ __all__ = ["Travelled", "at_target"]
 
 
 class Travelled:
-    """The base is further forward in the world than where its episode began, by a distance.
+    """The base has moved forward in the world by at least a distance since its episode began.
 
     Args:
         distance: least [m].
@@ -33,7 +33,7 @@ class Travelled:
         self._new |= rows
 
     def __call__(self, state: State) -> Tensor:
-        """Whether each robot has come so far, ``[env]``; the first step of an episode counts as its start."""
+        """Whether each robot has moved so far, ``[env]``; the first step of an episode counts as its start."""
         place = state.snapshot.place[:, 0]
         self._start = torch.where(self._new, place, self._start)
         self._new = torch.zeros_like(self._new)
@@ -41,7 +41,7 @@ class Travelled:
 
 
 def at_target(state: State, distance: float, name: str = "target") -> Tensor:
-    """The tip of an arm is no further from a commanded place than a distance.
+    """The tip of an arm is within a distance of its target.
 
     Args:
         distance: largest [m].

@@ -1,4 +1,4 @@
-"""A task as data: a scene and named terms. ``conf/task/<name>.yaml`` is where tasks are written."""
+"""A task as data: a scene and named terms, read from ``conf/task/<name>.yaml``."""
 
 from __future__ import annotations
 
@@ -50,29 +50,29 @@ def _gait(value: Any) -> Any:
 
 @settings("task")
 class Task:
-    """One task. Terms are found as `op3.policy.terms.Term` says; a term set to null is left out.
+    """A task. `op3.policy.terms.Term` finds its terms; a term set to null is omitted.
 
     Attributes:
         name: of the task.
         robot: name or path of the file of the robot.
         scene: name for `op3.scenes.build_scene`.
         duration: time limit of an episode [s].
-        history: number of earlier observations that the policy sees besides the latest.
+        history: number of earlier observations that the policy gets besides the latest.
         gait: clock of a gait; None for a task without one.
         actions: ``position: {span: <rad>, joints: <names>}`` and ``p_gain: {low: <A/rad>, high: <A/rad>}``; without
             ``p_gain`` the servos close their own loop.
         observations: terms of `op3.policy.observations`.
-        rewards: terms of `op3.tasks.rewards`, each with a ``weight``; of what is judged.
-        shaping: the same, for what helps learning besides.
+        rewards: terms of `op3.tasks.rewards` that define the task, each with a ``weight``.
+        shaping: terms that only help learning, likewise.
         terminations: terms of `op3.tasks.terminations`.
         success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
-        privileged: terms of `op3.tasks.privileged`, which critics see beside the observations.
-        curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value with
-            straight lines between; in training alone.
-        whole_step: whether currents and motion of the body enter rewards as means over the policy step, or as they are
-            at its end, where most of a landing escapes.
+        privileged: terms of `op3.tasks.privileged`, further observations for critics.
+        curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value, linearly
+            interpolated; only in training.
+        whole_step: whether rewards use means of currents and body motion over the policy step, or only the values at
+            its end, which miss most of a landing.
     """
 
     name: Text
@@ -121,7 +121,7 @@ class Task:
 
     @property
     def desired_velocity(self) -> tuple[float, float]:
-        """Forwards and sideways [m/s], as the reward term ``command`` says; zero without it."""
+        """Velocity forwards and sideways [m/s] of the reward term ``command``; zero without it."""
         forward, sideways = self.rewards.get("command", {}).get("velocity", (0.0, 0.0))
         return float(forward), float(sideways)
 
@@ -131,7 +131,7 @@ class Task:
         return (*self.terms("rewards"), *self.terms("shaping"))
 
     def action_map(self) -> ActionMap:
-        """What actions of the task mean."""
+        """The action map of the task."""
         return ActionMap.of_terms(self.terms("actions"), load_robot(self.robot))
 
     @property
@@ -141,11 +141,11 @@ class Task:
 
     @property
     def observation_size(self) -> int:
-        """Numbers that the policy sees, history included."""
+        """Numbers in the policy's observation, with history."""
         return self.observer(self.action_map().size).size
 
     def observer(self, action_size: int) -> Observer:
-        """What a policy of so many actions sees."""
+        """The observer of a policy with so many actions."""
         robot = load_robot(self.robot)
         return Observer(self.terms("observations"), robot, self.history, self.example(robot, action_size))
 
@@ -162,7 +162,7 @@ class Task:
 
     @property
     def privileged_signs(self) -> tuple[float, ...]:
-        """Of the image of each number that critics alone see, in the robot's plane of symmetry."""
+        """Signs of the mirror image of each privileged number."""
         from op3.tasks import privileged
 
         signs: list[float] = []
@@ -181,7 +181,7 @@ class Task:
         return {name: Term("commands", name, spec, commands, context) for name, spec in self.terms("commands").items()}
 
     def example(self, robot: Robot, action_size: int) -> Sensed:
-        """What one robot senses at home, ``[1, ...]``."""
+        """Sensor readings of one robot in the home pose, ``[1, ...]``."""
         import torch
 
         position = torch.from_numpy(robot.home)[None]
@@ -227,7 +227,7 @@ def _plain(value: Any) -> Any:
 
 
 def task_names() -> tuple[str, ...]:
-    """The tasks that come with the project."""
+    """The tasks of the project."""
     return tuple(named_configs("task"))
 
 

@@ -29,14 +29,14 @@ def height(state: State, robot: Robot, share: float) -> Tensor:
 
 
 class Lag:
-    """The robot is further behind where a desired forward speed would have it than a distance.
+    """The robot lags behind the position that a desired forward speed gives, by more than a distance.
 
-    Stepping in place earns the upright reward, and no slope leads on from there; a learner's episodes end there.
+    Stepping in place earns the upright reward and is a local optimum; this termination removes it in training.
 
     Args:
         distance: largest [m].
         velocity: desired forward speed [m/s].
-        name: of a command whose direction and speed are desired instead; at its zero nothing is behind.
+        name: of a command whose direction and speed are desired instead; at a zero command no robot lags.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Lag:
 
 
 class CommandedCollision:
-    """The action drives parts of the robot into each other, where `op3 deploy` would stop it.
+    """The commanded angles make parts of the robot overlap, as in the check of `op3 deploy`.
 
     Args:
         overlap: largest depth [m].
@@ -73,9 +73,9 @@ class CommandedCollision:
         self._parts = SelfCollision(robot, margin=0.0)
 
     def __call__(self, state: State) -> Tensor:
-        """Whether each robot's action does, ``[env]``."""
+        """Whether they do, ``[env]``."""
         commands = self._action_map.commands(state.action)
         inputs = (state.joint_position, commands["position_target"], commands["p_gain"])
-        position, target, p_gain = (values.cpu().numpy() for values in inputs)  # MuJoCo is on the processor
+        position, target, p_gain = (values.cpu().numpy() for values in inputs)  # MuJoCo runs on the CPU
         rows = zip(position, target, p_gain, strict=True)
         return torch.tensor([self._parts.commanded(*row, self.overlap) is not None for row in rows])

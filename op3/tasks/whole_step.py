@@ -1,6 +1,6 @@
-"""What a policy step was like throughout: means and peaks over its 32 ms, looked at after every millisecond.
+"""Means and peaks over the 32 ms of a policy step, sampled every millisecond.
 
-One look per step lets the peaks of a landing escape the reward, which last a few milliseconds.
+One sample per step would miss the peaks of a landing, which last a few milliseconds.
 """
 
 from __future__ import annotations
@@ -53,20 +53,20 @@ class Throughout:
 
     @classmethod
     def still(cls, count: int, feet: int) -> Throughout:
-        """So many robots before their first step."""
+        """Values of robots before their first step."""
         whole, of_feet = torch.zeros(count, dtype=torch.float64), torch.zeros(count, feet, dtype=torch.float64)
         return cls(*[whole] * 4, *[of_feet] * 4, *[whole] * 3)
 
     def replace(self, **values: Tensor) -> Throughout:
-        """The same with other values of some attributes."""
+        """A copy with other values of some attributes."""
         return replace(self, **values)
 
 
 class WholeStep:
-    """Adds up what `Throughout` tells, over live arrays of a simulation.
+    """Accumulates the values of `Throughout` from live arrays of a simulation.
 
     Args:
-        feet: whether to look at the feet, which tasks with a gait need.
+        feet: whether to read the feet, as tasks with a gait need.
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, num_sims: int, feet: bool):
@@ -124,7 +124,7 @@ def _add(
             sums[sim, 1] += np.sqrt(qvel[sim, rate] ** 2 + qvel[sim, rate + 1] ** 2 + qvel[sim, rate + 2] ** 2)
         if accelerometer >= 0:
             w, x, y, z = qpos[sim, base[0]], qpos[sim, base[0] + 1], qpos[sim, base[0] + 2], qpos[sim, base[0] + 3]
-            # the accelerometer reads gravity too, upwards in the world
+            # the accelerometer also reads gravity, upwards in the world
             ax = sensordata[sim, accelerometer] - GRAVITY * 2.0 * (x * z - w * y)
             ay = sensordata[sim, accelerometer + 1] - GRAVITY * 2.0 * (y * z + w * x)
             az = sensordata[sim, accelerometer + 2] - GRAVITY * (1.0 - 2.0 * (x * x + y * y))

@@ -1,4 +1,4 @@
-"""What every algorithm is: networks, a policy that explores while it learns, and two moments of learning."""
+"""Base class of algorithms: networks, a policy with an exploring copy, and two stages of learning."""
 
 import copy
 import dataclasses
@@ -28,13 +28,13 @@ Measures = dict[str, Tensor]
 
 @settings()
 class AlgorithmSettings:
-    """What algorithms have in common.
+    """Common settings of algorithms.
 
     Attributes:
         hidden: units of the policy's hidden layers.
         activation: of the policy's hidden layers.
         critic_hidden: units of the critics' hidden layers; those of the policy where None.
-        rollout: steps of every environment between two lessons.
+        rollout: steps of every environment per rollout.
         discount: per policy step.
         initial_std: standard deviation of the untrained policy before tanh.
         largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
@@ -57,13 +57,13 @@ class AlgorithmSettings:
 class Algorithm(nn.Module, ABC):
     """Learns a policy from rollouts of a batched environment.
 
-    `take` has what must happen before the next rollout begins, `learn` what may happen while it is collected. The
-    state dictionary holds all that a run needs to go on to the last bit, but for torch's global generator, which
-    `op3.train.train` seeds whenever episodes begin anew.
+    `take` must finish before the next rollout begins; `learn` may run while it is collected. The state dictionary holds
+    everything that a bitwise identical continuation needs, except torch's global generator, which `op3.train.train`
+    seeds whenever all episodes restart.
 
     Args:
         environment: batched, with ``observation`` and ``action`` in [-1, 1].
-        seed: of the initial weights.
+        seed: seed of the initial weights.
         initial_action: mean action [action] of the untrained policy; zeros where None.
         mirror: the environment's plane of symmetry, for algorithms that use it.
         device: of the networks.
@@ -98,7 +98,7 @@ class Algorithm(nn.Module, ABC):
         self.normalisation = getattr(self.settings, "normalisation", "running")
         self.updates = 0
         self.optimisers: dict[str, torch.optim.Optimizer] = {}
-        torch.manual_seed(seed)  # weights are drawn on the processor, so that a seed gives the same on every device
+        torch.manual_seed(seed)  # weights are drawn on the CPU, so that a seed gives the same weights on every device
         self.normaliser = Normaliser(self.seen_size, self.settings.clip)
         self.network = self.policy_network(initial_action)
         self.average = copy.deepcopy(self.network).requires_grad_(False) if self.settings.averaging else None
@@ -110,7 +110,7 @@ class Algorithm(nn.Module, ABC):
 
     @abstractmethod
     def build(self) -> None:
-        """Make the networks beside `network`, which is the policy's."""
+        """Make all networks except `network`, which is the policy's."""
 
     @abstractmethod
     def optimise(self) -> None:
@@ -118,23 +118,23 @@ class Algorithm(nn.Module, ABC):
 
     @abstractmethod
     def take(self, rollout: TensorDictBase) -> Measures:
-        """Receive a rollout [env, time] before the next one begins; steps after which episodes begin anew are done."""
+        """Receive a rollout [env, time] before the next one begins; ``done`` is set where an episode ends."""
 
     def learn(self) -> Measures:
-        """Learn from what was taken, while the next rollout is collected in another thread."""
+        """Learn from the rollouts taken, while the next one is collected in another thread."""
         return {}
 
     @property
     def explorer(self) -> "Explorer":
-        """The policy that collects: a copy of this one, so that this one may change meanwhile."""
+        """The policy that collects rollouts: a copy, so that this policy may change at the same time."""
         return self._explorer[0]
 
     def follow(self) -> None:
-        """Bring the explorer up to date."""
+        """Copy the current policy to the explorer."""
         self.explorer.follow()
 
     def restart(self, seed: int) -> None:
-        """Episodes begin anew, and exploration with them."""
+        """All episodes restart, and exploration with them."""
         self.explorer.generator.manual_seed(seed)
 
     @torch.no_grad()
@@ -144,17 +144,17 @@ class Algorithm(nn.Module, ABC):
         return network(self.normaliser(observation.to(self.device, torch.float32)))[0].tanh().to(observation)
 
     def bundle(self, manifest: Manifest) -> PolicyBundle:
-        """The policy without exploration, with the normalisation as it is now; what the manifest says of it is set."""
+        """The policy without exploration, with the present normalisation, which the manifest records."""
         chosen = self.settings
         network = {"hidden": chosen.hidden, "activation": chosen.activation, "clip": chosen.clip}
         manifest = dataclasses.replace(manifest, normalisation=self.normalisation, **network)
         return PolicyBundle(manifest, self._policy_weights(self.average or self.network))
 
     def start_from(self, policy: PolicyBundle) -> None:
-        """Begin with a policy's network and normalisation; critics and exploration begin anew.
+        """Start with a policy's network and normalisation, and with new critics and exploration.
 
-        The normalisation counts for as many observations as the policy has learned from, so that it moves no faster
-        under the network than it did there.
+        The normalisation counts for as many observations as the policy has learned from, so that it changes no faster
+        than in the policy's own training.
 
         Raises:
             ValueError: if the policy has another size.
@@ -189,7 +189,7 @@ class Algorithm(nn.Module, ABC):
         )
 
     def stochastic_actor(self) -> ProbabilisticActor:
-        """The policy as TorchRL's losses take it: normalised observations to squashed Gaussian actions."""
+        """The policy in the form of TorchRL's losses: normalised observations to squashed Gaussian actions."""
         return ProbabilisticActor(
             TensorDictModule(self.network, [NORMALISED], ["loc", "scale"]),
             in_keys=["loc", "scale"],
@@ -209,11 +209,11 @@ class Algorithm(nn.Module, ABC):
         return batch
 
     def all_seen(self, place: TensorDictBase) -> Tensor:
-        """Observations and what critics see besides, ``[..., observation + privileged]``."""
+        """Observations and privileged observations, ``[..., observation + privileged]``."""
         return torch.cat([place[name] for name in self.seen], -1)
 
     def step(self, name: str, loss: Tensor) -> None:
-        """One step of an optimiser along the gradient of its own parameters alone."""
+        """One step of an optimiser, with the gradient of only its own parameters."""
         optimiser = self.optimisers[name]
         parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
         for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
@@ -227,7 +227,7 @@ class Algorithm(nn.Module, ABC):
             approach(self.average, self.network, 1.0 - self.settings.averaging)
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What is neither weight nor buffer."""
+        """State besides weights and buffers."""
         return {"updates": self.updates} | {name: one.state_dict() for name, one in self.optimisers.items()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -250,13 +250,13 @@ class Algorithm(nn.Module, ABC):
 
 
 class Explorer(TensorDictModuleBase):
-    """A frozen copy of a policy with exploration of its own; robots explore more boldly from first to last.
+    """A frozen copy of a policy with separate exploration, whose noise increases from the first to the last robot.
 
     Args:
         normaliser: of the policy.
         network: of the policy.
-        count: robots side by side.
-        scored: whether the logarithm of an action's probability is kept with it, as ``action_log_prob``.
+        count: number of robots.
+        scored: whether to store the log probability of actions, as ``action_log_prob``.
     """
 
     in_keys: Any = ["observation"]
@@ -273,11 +273,11 @@ class Explorer(TensorDictModuleBase):
         self.generator = torch.Generator(device)
 
     def follow(self, boldest: float = 1.0) -> None:
-        """Take over the policy as it is now.
+        """Copy the current policy.
 
         Args:
-            boldest: multiple of the policy's standard deviation with which the last robot explores; the first does
-                with 1, the others between, evenly in the logarithm.
+            boldest: multiple of the policy's standard deviation for the last robot; the first has 1, the others are
+                evenly spaced in the logarithm.
         """
         for here, source in zip(self._copies, self._sources, strict=True):
             here.load_state_dict(source.state_dict())

@@ -1,4 +1,4 @@
-"""Checkpoints that are there whole or not at all, and stopping between two steps."""
+"""Checkpoints that are written atomically, and stopping between two steps."""
 
 import pickle
 import signal

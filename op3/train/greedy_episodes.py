@@ -18,13 +18,13 @@ def evaluate(
     longest: int,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> dict[str, float]:
-    """How a policy fares over one episode of each environment.
+    """Evaluate a policy over one episode of each environment.
 
     Args:
         environment: batched, [env]; it is seeded and reset, so that a seed gives the same episodes each time.
         policy: chooses the actions.
         seed: of the episodes.
-        longest: most steps of an episode; what runs on counts as survived.
+        longest: largest number of steps of an episode; longer episodes count as survived.
         watch: called before each step with the actions [env, action] and which environments [env] are still in it.
 
     Returns:

@@ -20,9 +20,9 @@ _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU, "tanh": nn.Tanh
 
 
 class Normaliser(nn.Module):
-    """clip((observation - mean) / scale) with mean and standard deviation of what `update` was given.
+    """clip((observation - mean) / scale) with mean and standard deviation of the observations given to `update`.
 
-    Calling it changes nothing, so that evaluations leave it as it is.
+    Calls do not change it, so evaluations do not either.
 
     Args:
         size: numbers in an observation.
@@ -46,7 +46,7 @@ class Normaliser(nn.Module):
 
     @torch.no_grad()
     def update(self, observation: Tensor) -> None:
-        """Take observations [..., observation] into account, by merging moments (Chan et al. 1979)."""
+        """Include observations [..., observation], by merging moments (Chan et al. 1979)."""
         values = observation.reshape(-1, observation.shape[-1]).to(self.squares)
         total = self.count + len(values)
         mean = values.mean(0)
@@ -59,7 +59,7 @@ class Normaliser(nn.Module):
 
     @torch.no_grad()
     def assume(self, mean: Tensor, scale: Tensor, count: int) -> None:
-        """Go on as if `count` observations of this mean and scale had been seen; they may lack the last numbers."""
+        """Set the state after `count` observations of this mean and scale; the last numbers may be missing."""
         width = len(mean)
         self.mean[:width] = mean
         self.scale[:width] = scale
@@ -68,7 +68,7 @@ class Normaliser(nn.Module):
         self.count[:width] = count
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Normalised observations [..., observation]; they may lack the last of the numbers."""
+        """Normalised observations [..., observation]; the last numbers may be missing."""
         width = observation.shape[-1]
         return ((observation - self.mean[:width]) / self.scale[:width]).clamp_(-self.clip, self.clip)
 
@@ -81,9 +81,9 @@ class PolicyNetwork(nn.Module):
         action_size: numbers in an action.
         hidden: units of the hidden layers.
         activation: of the hidden layers.
-        initial_action: mean action [action] of the untrained policy, whatever it sees; zeros where None.
+        initial_action: mean action [action] of the untrained policy for every observation; zeros if None.
         initial_std: standard deviation of the untrained policy before tanh.
-        largest_std: bound of it; None: it stays as it is, and is not learned.
+        largest_std: bound of the standard deviation; None: it is constant.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class QNetwork(nn.Module):
         self.in_bfloat16 = bfloat16
         self.observation = nn.Linear(observation_size, hidden[0])
         self.action = nn.Linear(action_size, hidden[0], bias=False)
-        bound = (observation_size + action_size) ** -0.5  # as of one layer over both
+        bound = (observation_size + action_size) ** -0.5  # as for one layer over both
         for values in (*self.observation.parameters(), *self.action.parameters()):
             nn.init.uniform_(values, -bound, bound)
         norms = [[nn.LayerNorm(units)] if layer_norm else [] for units in hidden]
@@ -163,7 +163,7 @@ class Ensemble(nn.Module):
     """Several Q functions of one shape.
 
     Args:
-        members: of the ensemble.
+        members: Q functions.
     """
 
     def __init__(self, members: Sequence[QNetwork]):
@@ -183,10 +183,10 @@ def approach(module: nn.Module, goal: nn.Module, share: float) -> None:
 
 @functools.cache
 def bfloat16_is_faster(device: torch.device) -> bool:
-    """Whether a device multiplies bfloat16 so much faster than float32 that conversions are worth it.
+    """Whether bfloat16 is faster than float32 on a device, including conversions.
 
-    For processors it is measured: of two makes with the same avx512_bf16, one is twice as fast in bfloat16 and the
-    other half as fast.
+    On CPUs this is measured: of two processors with avx512_bf16, one is twice as fast in bfloat16 and the other half as
+    fast.
     """
     if device.type != "cpu":
         return True

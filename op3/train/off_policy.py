@@ -1,4 +1,4 @@
-"""Algorithms that learn from a replay buffer, among them any for which TorchRL has a loss."""
+"""Algorithms that learn from a replay buffer, with any suitable loss of TorchRL."""
 
 from typing import Annotated, Any, Literal
 
@@ -20,7 +20,7 @@ Bold = Annotated[Number, Field(ge=1)]
 
 @settings()
 class OffPolicySettings(AlgorithmSettings):
-    """What algorithms with a replay buffer have in common; one step is one policy step of one environment.
+    """Common settings of algorithms with a replay buffer; one step is one policy step of one environment.
 
     Attributes:
         layer_norm: whether the critics' hidden layers are normalised.
@@ -32,14 +32,14 @@ class OffPolicySettings(AlgorithmSettings):
         actor_every: critic updates per policy update.
         actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
         warmup: steps before the first update, taken by the untrained policy.
-        noise: exploration of the boldest environment, in multiples of the policy's standard deviation; the others lie
-            between it and 1, evenly in the logarithm. It shows the critics what is wrong with larger actions.
+        noise: largest exploration of an environment, in multiples of the policy's standard deviation; the others are
+            between 1 and it, evenly in the logarithm. Critics learn the value of larger actions from it.
         warmup_noise: the same during the warm-up.
         updates_per_step: updates per step after the warm-up.
         buffer: transitions kept; the oldest are overwritten.
-        checkpoint_buffer: whether checkpoints hold the buffer; without it a resumed run fills a new one first.
-        normalisation: `running`, observations are measured all along, or `fixed`, during the warm-up only.
-        bfloat16: whether the critics multiply in bfloat16; None: where this processor is faster at it.
+        checkpoint_buffer: whether checkpoints hold the buffer; without it, a resumed run starts with an empty buffer.
+        normalisation: `running`: updated during the whole run; `fixed`: only during the warm-up.
+        bfloat16: whether the critics multiply in bfloat16; None: if that is faster on this processor.
         mirrored: share of each batch that is replaced by its image in the robot's plane of symmetry.
     """
 
@@ -66,7 +66,7 @@ class OffPolicy(Algorithm):
     """Collects into TorchRL's replay buffer and makes updates from it.
 
     A subclass gives `make_loss`, one of TorchRL's losses; its entries ``loss_*`` are minimised together, the policy's
-    only when its turn has come.
+    only every `actor_every` updates.
     """
 
     Settings = OffPolicySettings
@@ -82,14 +82,14 @@ class OffPolicy(Algorithm):
         raise NotImplementedError
 
     def q_network(self) -> QNetwork:
-        """A fresh Q function."""
+        """A new Q function."""
         chosen = self.settings
         bfloat16 = bfloat16_is_faster(self.device) if chosen.bfloat16 is None else chosen.bfloat16
         hidden = chosen.critic_hidden or chosen.hidden
         return QNetwork(self.seen_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
 
     def critic(self) -> ValueOperator:
-        """A fresh Q function as TorchRL's losses take it."""
+        """A new Q function in the form of TorchRL's losses."""
         return ValueOperator(self.q_network(), in_keys=[NORMALISED, "action"])
 
     def make_buffer(self) -> None:
@@ -115,24 +115,24 @@ class OffPolicy(Algorithm):
         self.optimisers["loss"] = torch.optim.Adam(groups, fused=True)
 
     def follow(self) -> None:
-        """Bring the explorer up to date, bolder during the warm-up."""
+        """Copy the current policy to the explorer, with more noise during the warm-up."""
         self.explorer.follow(self.settings.warmup_noise if self.steps < self.settings.warmup else self.settings.noise)
 
     def restart(self, seed: int) -> None:
-        """Episodes begin anew; the few latest steps whose returns are not complete are forgotten."""
+        """All episodes restart; the latest steps, whose n-step returns are incomplete, are dropped."""
         super().restart(seed)
         self.multi_step = self.returns()
 
     def returns(self) -> MultiStepTransform:
-        """What makes n-step returns of rollouts of the same robots, over the borders between them.
+        """The transform to n-step returns over consecutive rollouts of the same robots.
 
-        The flags of the end are those of the last of the n steps, as is the observation: by default TorchRL leaves
-        those of the first, and a return that ends in a fall goes on with the value of lying.
+        End flags and observation are those of the last of the n steps. By default TorchRL keeps the flags of the first,
+        so that a return that ends in a fall would be continued with the value of the fallen state.
         """
         return MultiStepTransform(self.settings.n_step, self.settings.discount, done_keys=[])
 
     def take(self, rollout: TensorDictBase) -> Measures:
-        """Store the transitions, as returns over n steps, and measure the observations."""
+        """Store the transitions, with n-step returns, and update the normalisation."""
         if self.settings.normalisation == "running" or self.steps < self.settings.warmup:
             self.normaliser.update(self.all_seen(rollout))
         self.steps += rollout.numel()
@@ -141,7 +141,7 @@ class OffPolicy(Algorithm):
         return {}
 
     def store(self, rollout: TensorDictBase) -> None:
-        """Store transitions of other origin, such as those of `op3.train.transitions`; updates are due as before.
+        """Store transitions from elsewhere, such as those of `op3.train.transitions`; updates stay due as before.
 
         Args:
             rollout: [env, time], with ``done`` at the last step of each.
@@ -157,7 +157,7 @@ class OffPolicy(Algorithm):
             self.buffer.extend(complete.select(*self.seen, "action", "steps_to_next_obs", *ends).reshape(-1))
 
     def learn(self) -> Measures:
-        """The updates that the steps since the last call bring."""
+        """Make the updates that are due for the steps since the last call."""
         due = self._due(self.steps) - self._due(self.learned)
         self.learned, measures = self.steps, {}
         if self.stored >= min(self.settings.warmup, self.settings.buffer):  # after a resumption without a buffer
@@ -168,7 +168,7 @@ class OffPolicy(Algorithm):
 
     @property
     def actor_is_due(self) -> bool:
-        """Whether this update is one of the policy too."""
+        """Whether this update includes the policy."""
         return self.updates >= self.settings.actor_after and self.updates % self.settings.actor_every == 0
 
     def update(self, batch: TensorDictBase) -> Measures:
@@ -191,11 +191,11 @@ class OffPolicy(Algorithm):
         return {name.removeprefix("loss_") + "_loss": losses[name].detach() for name in names}
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Counters and, where asked for, the buffer."""
+        """Counters and, with `checkpoint_buffer`, the buffer."""
         state = super().get_extra_state() | {"steps": self.steps, "learned": self.learned}
         if self.settings.checkpoint_buffer and len(self.buffer):
             data = self.buffer.storage[:].flatten_keys(".")
-            if len(self.buffer) < self.settings.buffer:  # what is saved of a view is all that it is a view of
+            if len(self.buffer) < self.settings.buffer:  # saving a view saves the whole tensor behind it
                 data = data.clone()
             state |= {"buffer": data.to_dict(), "writer": self.buffer.writer.state_dict()}
         return state
@@ -224,7 +224,7 @@ class Mirrored(Transform):
 
     Args:
         mirror: images of observations and actions.
-        share: of the batch, its first part.
+        share: share of the batch, its first part.
     """
 
     def __init__(self, mirror: Mirror, share: float):

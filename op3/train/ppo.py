@@ -40,7 +40,7 @@ class PPOSettings(AlgorithmSettings):
 
 
 class PPO(Algorithm):
-    """Policy and value function, learned between rollouts, from the latest alone."""
+    """Policy and value function, learned between rollouts from only the latest one."""
 
     Settings = PPOSettings
 
@@ -62,15 +62,15 @@ class PPO(Algorithm):
         )
 
     def optimise(self) -> None:
-        """One optimiser of all."""
+        """One optimiser for all parameters."""
         self.optimisers["loss"] = torch.optim.Adam(self.loss.parameters(), self.settings.rate, fused=True)
 
     def make_explorer(self) -> Explorer:
-        """One that keeps the probability of what it does."""
+        """An explorer that stores the probability of its actions."""
         return Explorer(self.normaliser, self.network, self.environments, scored=True)
 
     def take(self, rollout: TensorDictBase) -> Measures:
-        """Learn from a rollout, which the policy as it is has collected."""
+        """Learn from a rollout that the current policy has collected."""
         rollout = self.normalise(rollout.to(self.device))
         with torch.no_grad():
             self.advantage(rollout)

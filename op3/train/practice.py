@@ -1,4 +1,4 @@
-"""Curricula: numbers of a task that change over the steps of a run."""
+"""Curricula: parameters of a task that change over the steps of a run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
@@ -14,11 +14,11 @@ Schedule = Listed[Listed[Number]]
 
 @settings("practice")
 class Practice:
-    """What learning begins with and grows out of; evaluations know nothing of it.
+    """Curricula of a training; evaluations do not use them.
 
     Attributes:
         curricula: schedules by the path of a number in the task, such as ``shaping.speed_bonus.weight``; ``timestep``
-            is that of the physics [s], which changes at checkpoints, where all episodes begin anew.
+            is that of the physics [s], which changes at checkpoints, where all episodes restart.
     """
 
     curricula: Named[Schedule] = field(default_factory=dict)

@@ -15,8 +15,8 @@ def transitions(log: Rollout) -> TensorDict:
         log: with the channels ``policy/observation``, ``policy/action`` and ``policy/reward``.
 
     Returns:
-        [1, time] for `op3.train.OffPolicy.store`. What followed the last step is not in a log: it is kept where the
-        robot fell, for nothing follows, and left out otherwise.
+        [1, time] for `op3.train.OffPolicy.store`. A log does not contain the state after the last step: the last step
+        is kept if the robot fell, since no value follows, and omitted otherwise.
 
     Raises:
         ValueError: if a channel is missing.

@@ -18,8 +18,8 @@ class SACSettings(OffPolicySettings):
     """Settings of soft actor-critic.
 
     Attributes:
-        initial_temperature: of the entropy bonus.
-        target_entropy: per number of the action [nats].
+        initial_temperature: initial weight of the entropy bonus.
+        target_entropy: target entropy per number of the action [nats].
     """
 
     initial_temperature: Positive = 0.01
@@ -30,7 +30,7 @@ class SAC(OffPolicy):
     """Policy, two critics, temperature.
 
     The losses are those of `torchrl.objectives.SACLoss` with ``loss_function="l2"``, half of it for the critics. They
-    are written out, because functional modules and vmap cost a third of an update of such networks on a processor
+    are implemented here, because functional modules and vmap cost a third of an update of such networks on a CPU
     (`experiments/benchmarks/learner_speed.py`).
     """
 
@@ -51,7 +51,7 @@ class SAC(OffPolicy):
         self.optimisers["policy"] = torch.optim.Adam(policy, self.settings.actor_rate, fused=True)
 
     def update(self, batch: TensorDictBase) -> Measures:
-        """One gradient step of the critics and, when its turn has come, of policy and temperature."""
+        """One gradient step of the critics and, every `actor_every` updates, of policy and temperature."""
         loss, value = self.critic_loss(batch)
         self.step("critics", loss)
         measures = {"critic_loss": loss.detach(), "value": value.detach()}
@@ -74,7 +74,7 @@ class SAC(OffPolicy):
         return 0.5 * (value - target).square().mean(1).sum(), value.mean()
 
     def policy_loss(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Loss of policy and temperature together, each of which reaches only its own parameters; and the entropy."""
+        """Sum of the losses of policy and temperature, whose gradients are separate; and the entropy."""
         action, log_prob = self.actor.get_dist(batch).rsample_and_log_prob()
         temperature, entropy = self.log_temperature.exp(), -log_prob.mean()
         loss = -temperature.detach() * entropy - self.critics(batch[NORMALISED], action).amin(0).mean()

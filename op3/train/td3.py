@@ -15,7 +15,7 @@ from op3.train.off_policy import OffPolicy, OffPolicySettings
 
 @settings()
 class TD3Settings(OffPolicySettings):
-    """Settings of TD3; `initial_std` is the standard deviation of its exploration all along.
+    """Settings of TD3; `initial_std` is the constant standard deviation of its exploration.
 
     Attributes:
         policy_noise: standard deviation of the noise on the target's action.

@@ -34,13 +34,13 @@ class TrainSettings:
     """Settings of a run; one step is one policy step of one environment.
 
     Attributes:
-        steps: of the whole run.
-        overlap: whether the algorithm learns while the next rollout is collected, each on a core of its own, or after
-            it. The result is the same to the last bit.
+        steps: number of steps of the run.
+        overlap: whether the algorithm learns while the next rollout is collected, on separate cores. The result is
+            bitwise identical.
         evaluate_every: steps between evaluations.
         checkpoint_every: steps between checkpoints.
         log_every: steps between log entries and progress lines.
-        seed: of everything random.
+        seed: seed of all random numbers.
     """
 
     steps: Count = 300_000
@@ -53,12 +53,12 @@ class TrainSettings:
 
 @dataclasses.dataclass
 class Progress:
-    """How far a run has come.
+    """Progress of a run.
 
     Attributes:
         steps: environment steps taken.
         best: highest score of an evaluation.
-        best_steps: at how many steps that was.
+        best_steps: number of steps at that evaluation.
         history: one entry per log entry and evaluation, with ``steps``.
         seconds: wall time of training [s], evaluations included, over all resumptions.
         stopped: whether a signal ended the run early.
@@ -88,25 +88,25 @@ def train(
 ) -> Progress:
     """Train, keeping the policy that evaluates best in ``<folder>/policy`` and a checkpoint beside it.
 
-    The environments begin new episodes at every checkpoint, so a run resumed from one takes the very steps that the
-    run without interruption takes, also after a kill. SIGTERM and SIGINT make a checkpoint and end the run.
+    All episodes restart at every checkpoint, so a resumed run takes exactly the steps of an uninterrupted run, also
+    after a kill. SIGTERM and SIGINT write a checkpoint and end the run.
 
     Args:
-        algorithm: that learns.
+        algorithm: algorithm that learns.
         environment: batched, [env], with ``observation``, ``action`` and ``reward``; composites ``reward_terms`` and
-            ``measure`` are logged. It must draw from generators of its own.
+            ``measure`` are logged. It must use separate random generators.
         evaluate: measures the policy.
-        settings: of the run.
-        manifest: of the policy bundle; steps and updates are filled in.
-        folder: of the run.
-        practice: curricula, which the environment takes by its method ``practise``; None: none.
-        log: takes the measures, for example to wandb.
-        say: takes progress lines.
-        config: plain values, kept in the checkpoint; a resumed run says which of them have changed.
-        resume: go on from the checkpoint in the folder.
+        settings: settings of the run.
+        manifest: manifest of the policy bundle; steps and updates are filled in.
+        folder: folder of the run.
+        practice: curricula, passed to the environment's method ``practise``; None: none.
+        log: receives the measures, for example for wandb.
+        say: receives progress lines.
+        config: plain values, kept in the checkpoint; a resumed run prints which of them have changed.
+        resume: whether to continue from the checkpoint in the folder.
 
     Raises:
-        ValueError: if the folder has a checkpoint and is not resumed from, if losses, observations or rewards are not
+        ValueError: if the folder has a checkpoint and `resume` is false, if losses, observations or rewards are not
             finite, or if a checkpoint does not fit.
         FileNotFoundError: if there is no checkpoint to resume from.
     """
@@ -123,7 +123,7 @@ def train(
             environment.practise(**numbers)  # pyright: ignore[reportCallIssue]
 
     def restart() -> Collector:
-        """A collector whose episodes begin anew: the reset of one that has run zeroes tensors of the environment."""
+        """A collector with new episodes; resetting a used one would zero tensors of the environment."""
         practise()
         seed = settings.seed + run.steps
         torch.manual_seed(seed)
@@ -152,10 +152,10 @@ def train(
             before, run.steps = run.steps, run.steps + rollout.numel()
             meter.add(rollout)
             finished = run.steps >= settings.steps
-            # asked once: a signal that comes later ends the run after the next rollout
+            # read once: a later signal ends the run after the next rollout
             run.stopped = stop.is_set() and not finished
             restarting = finished or run.stopped or _passed(before, run.steps, settings.checkpoint_every)
-            if restarting:  # all episodes are cut off here by time
+            if restarting:  # all episodes are truncated here
                 rollout["next", "done"][:, -1] = True
             meter.losses |= algorithm.take(rollout)
 
@@ -190,7 +190,7 @@ def _passed(before: int, now: int, every: int) -> bool:
 def _evaluate(
     run: Progress, algorithm: Algorithm, evaluate: Evaluate, manifest: Manifest, folder: Path
 ) -> dict[str, float]:
-    """Measure the policy and keep its bundle where it is the best so far."""
+    """Evaluate the policy and keep its bundle if it is the best so far."""
     measures = {f"evaluation/{name}": float(value) for name, value in evaluate(algorithm.act).items()}
     score = measures.get("evaluation/score", measures.get("evaluation/return", float("-inf")))
     run.history.append({"steps": run.steps, **measures})
@@ -202,7 +202,7 @@ def _evaluate(
 
 
 def _identity(algorithm: Algorithm, manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
-    """What a run must keep when it goes on: of another of these no tensor's shape would tell."""
+    """What must be unchanged in a resumed run, although a change would fit all tensor shapes."""
     return {
         "algorithm": type(algorithm).__name__,
         "task": manifest.task,
@@ -215,7 +215,7 @@ def _identity(algorithm: Algorithm, manifest: Manifest, settings: TrainSettings)
 
 
 def check_unused(folder: Path) -> None:
-    """Refuse a folder with the checkpoint of a run."""
+    """Refuse a folder that has the checkpoint of a run."""
     if (folder / CHECKPOINT).exists():
         raise ValueError(
             f"{folder} has the {CHECKPOINT} of a run: go on with resume={folder}, or choose another folder"
@@ -256,7 +256,7 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 class _Meter:
-    """Means between two log entries, and the progress line."""
+    """Means between two log entries, for the log and the progress line."""
 
     def __init__(self, run: Progress, algorithm: Algorithm, settings: TrainSettings):
         self.run, self.algorithm, self.settings = run, algorithm, settings
@@ -268,7 +268,7 @@ class _Meter:
         self._sums: dict[str, list[float]] = {}
 
     def add(self, rollout: TensorDictBase) -> None:
-        """Take a rollout [env, time] into account.
+        """Include a rollout [env, time].
 
         Raises:
             ValueError: if an observation or a reward is not finite.
