@@ -1,4 +1,4 @@
-"""YAML files checked by pydantic: every fault is one sentence with file, line, field and the nearest valid name."""
+"""YAML files checked by pydantic: every error is one sentence with file, line, field and the nearest valid name."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Real = Annotated[float, Field(strict=True)]
 
 
 class Record(BaseModel):
-    """What a part of a data file may hold: the fields named and no others, fixed once read."""
+    """Part of a data file: its fields and no others, immutable after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def among(what: str, known: Iterable[str]) -> AfterValidator:
-    """That a field's text is one of these names of a kind."""
+    """Validator that a field's text is one of these names of a kind."""
 
     def check(name: str) -> str:
         if name not in known:
@@ -36,14 +36,14 @@ def among(what: str, known: Iterable[str]) -> AfterValidator:
 
 
 class DataFileError(ValueError):
-    """A data file says something that cannot be."""
+    """A data file has an invalid entry."""
 
 
 class DataFile:
     """A YAML file with the line of every entry.
 
     Raises:
-        DataFileError: if there is none, or it is no YAML.
+        DataFileError: if there is none, or it is not YAML.
     """
 
     def __init__(self, path: str | Path):
@@ -60,7 +60,7 @@ class DataFile:
         self._tree = yaml.compose(text, yaml.SafeLoader)
 
     def line(self, place: Sequence[str | int] = ()) -> int:
-        """Line of an entry, such as ``("joints", "elbow", "limits")``; of the nearest one above it that is there."""
+        """Line of an entry, such as ``("joints", "elbow", "limits")``; of its nearest parent that exists."""
         node, line = self._tree, 1
         for step in place:
             below = _step(node, step)
@@ -70,19 +70,19 @@ class DataFile:
         return line
 
     def fault(self, place: Sequence[str | int], problem: str) -> DataFileError:
-        """What is wrong with an entry, as an error to raise."""
+        """The error for an entry, to raise."""
         field = ".".join(str(step) for step in place)
         return DataFileError(f"{self.path}, line {self.line(place)}: {field + ' ' if field else ''}{problem}")
 
     def unknown(self, place: Sequence[str | int], what: str, name: str, known: Iterable[str]) -> DataFileError:
-        """That an entry names something there is not, with the nearest name there is."""
+        """The error for an unknown name in an entry, with the nearest known name."""
         return self.fault(place, f"names the {what} {name!r}, which does not exist{nearest(name, known)}")
 
     def read(self, kind: type[Content]) -> Content:
         """The file's content, checked.
 
         Raises:
-            DataFileError: with the first fault.
+            DataFileError: with the first error.
         """
         try:
             return kind.model_validate(self.content)

@@ -16,11 +16,11 @@ IMU_SENSORS = {"imu_orientation": "framequat", "imu_gyro": "gyro", "imu_accelero
 
 
 class RobotEntity(composer.Entity):
-    """The model of a robot file, its base not yet free.
+    """The model of a robot file, with its base still fixed.
 
-    Motors, sensors and keyframes of the model are left out, and so are friction, damping and armature of the robot's
-    joints: those are what the servo model that is attached to `joints` says. With a free base, qpos[:3] is the place of
-    the base, qpos[7:] are the joint angles and qvel[6:] their velocities, in the robot's order.
+    Motors, sensors and keyframes of the model are omitted, and so are friction, damping and armature of the robot's
+    joints, which the servo model attached to `joints` replaces. With a free base, qpos[:3] is the position of the base,
+    qpos[7:] are the joint angles and qvel[6:] their velocities, in the robot's order.
     """
 
     def _build(self, robot: Robot, **parameters: float):
@@ -49,7 +49,7 @@ class RobotEntity(composer.Entity):
 
     @staticmethod
     def _bare(joint: Any, model: mujoco.MjModel) -> None:
-        """A hinge with its axis and place written on it, and nothing of a servo."""
+        """A hinge with explicit axis and position, without friction, damping and armature."""
         number = model.joint(joint.name).id
         joint.type, joint.axis, joint.pos = "hinge", model.jnt_axis[number].copy(), model.jnt_pos[number].copy()
         joint.damping = joint.frictionloss = joint.armature = 0.0
@@ -70,7 +70,7 @@ class RobotEntity(composer.Entity):
                 inertial.inertial.pos = place
 
     def _with_inertia(self, name: str) -> Any:
-        """A body whose inertia is written on it, as MuJoCo works it out of its geoms where it is not."""
+        """A body with explicit inertia, which MuJoCo otherwise computes from geoms."""
         body: Any = self._find("body", name)
         if body.inertial is None:
             known = self.robot.bare_model.body(name)
@@ -85,7 +85,7 @@ class RobotEntity(composer.Entity):
 
     @property
     def trunk(self) -> mjcf.Element:
-        """The body that carries the rest; the world where the file names none."""
+        """The base body; the world if the file names none."""
         root: Any = self._mjcf_root
         return root.worldbody if self.robot.file.base is None else self._find("body", self.robot.file.base)
 
@@ -96,7 +96,7 @@ class RobotEntity(composer.Entity):
 
     @property
     def key_points(self) -> list[mjcf.Element]:
-        """The sites on the soles, in the order of the file; without any, the origins of the feet."""
+        """The sites on the soles, in the order of the file, or the origins of the feet."""
         file = self.robot.file
         return [self._find("site", name) for name in file.key_points or [f"{foot}_origin" for foot in file.feet]]
 
@@ -117,7 +117,7 @@ class RobotEntity(composer.Entity):
 
     @property
     def tip(self) -> mjcf.Element | None:
-        """The site at the end of an arm; None where the file names none."""
+        """The site at the end of an arm; None if the file names none."""
         name = self.robot.file.tip
         return None if name is None else self._find("site", name)
 
@@ -140,7 +140,7 @@ class RobotEntity(composer.Entity):
     def imu_accelerometer(self) -> mjcf.Element:
         """Sensor of the specific force in the IMU's frame [m/s^2]: +g upwards at rest.
 
-        On a fixed base MuJoCo makes it read zero; see `Scene.mounted_specific_force`.
+        On a fixed base it reads zero in MuJoCo; see `Scene.mounted_specific_force`.
         """
         return self._find("sensor", "imu_accelerometer")
 
@@ -152,10 +152,10 @@ class RobotEntity(composer.Entity):
 
 
 def _read(robot: Robot) -> Any:
-    """The robot's model without what drives and senses it, a free base, and the world that it stood in."""
+    """The robot's model without actuators, sensors, free base and world."""
     spec = read_model(robot.model_path, robot.file).spec
     changed = robot.followed or any(part.ignored for part in robot.model_parts)
-    # MuJoCo turns these into what fits into our scenes
+    # MuJoCo converts these so that they fit into our scenes
     if changed or robot.model_path.suffix == ".urdf" or spec.compiler.degree:
         spec.compile()
         root: Any = mjcf.from_xml_string(spec.to_xml(), model_dir=str(robot.model_path.parent))

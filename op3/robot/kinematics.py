@@ -1,4 +1,4 @@
-"""Forward kinematics of a bare robot, by MuJoCo: where soles and key points are.
+"""Forward kinematics of a robot's soles and key points, by MuJoCo.
 
 All results are in the frame of the base (of the OP3: origin between the hip yaw axes, x forward, y left, z up).
 """
@@ -20,7 +20,7 @@ _CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (
 
 
 def _forward(joint_position: ArrayLike, robot: str | Robot) -> tuple[Robot, mujoco.MjData, Array]:
-    """The robot, MuJoCo's data of it with its base fixed upright, and the base's place in it [3]."""
+    """The robot, its MuJoCo data with the base fixed upright, and the base's position [3]."""
     known = load_robot(robot)
     data = mujoco.MjData(known.bare_model)
     data.qpos[:] = known.configuration(joint_position)
@@ -50,7 +50,7 @@ def key_points(joint_position: ArrayLike, robot: str | Robot) -> Array:
 
 
 def standing_height(joint_position: ArrayLike, robot: str | Robot, roll: float = 0.0, pitch: float = 0.0) -> float:
-    """Height [m] of the base's origin above a floor that the robot's soles just touch.
+    """Height [m] of the base's origin above a floor that the soles touch.
 
     Args:
         joint_position: angles [joint] in rad.
@@ -83,7 +83,7 @@ def sole_normals(joint_position: ArrayLike, robot: str | Robot) -> Array:
 
 
 def level_soles(joint_position: ArrayLike, robot: str | Robot) -> tuple[float, float]:
-    """Roll and pitch [rad] of a base whose soles, on average over the feet, are level; zero where feet are no soles."""
+    """Roll and pitch [rad] of a base whose soles, on average over the feet, are level; zero for feet without soles."""
     if not load_robot(robot).file.soles:
         return 0.0, 0.0
     up = sole_normals(joint_position, robot).mean(0)
@@ -105,6 +105,6 @@ def rotation_matrix(roll: float, pitch: float, yaw: float = 0.0) -> Array:
 
 
 def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
-    """Share of a move that is done at a share of its time, 0 to 1 each: no speed and no acceleration at its ends."""
+    """Share of a motion completed at a share of its time, 0 to 1 each, with zero speed and acceleration at its ends."""
     s = np.clip(share, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)

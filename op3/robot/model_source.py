@@ -1,8 +1,8 @@
-"""The MJCF or URDF of a robot file as MuJoCo reads it: what of it is used, what the servo model replaces, and what not.
+"""The MJCF or URDF of a robot file as MuJoCo reads it: elements that are used, replaced by the servo model, or ignored.
 
-By rule, what drives or brakes a joint with a servo is the servo model's: actuators, effort limits, damping, friction,
-armature, springs and compensation of gravity. Joints without a servo keep what the model gives them; those that follow
-others are held to it by equalities. Tendons, other equalities, sensors and keyframes are not used.
+For joints with a servo, the servo model replaces actuators, effort limits, damping, friction, armature, springs and
+gravity compensation. Joints without a servo keep those of the model; coupled joints follow others by equalities.
+Tendons, other equalities, sensors and keyframes are not used.
 """
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
@@ -41,12 +41,12 @@ Followed = dict[str, tuple[str | None, float, float]]
 
 @dataclass(frozen=True)
 class Part:
-    """Something in a model that acts on joints.
+    """Elements of a model that act on joints.
 
     Attributes:
         what: kind of element.
-        names: of the joints or elements.
-        fate: `USED`, `REPLACED` or `IGNORED`, and why.
+        names: names of the joints or elements.
+        fate: `USED`, `REPLACED` or `IGNORED`, with the reason.
     """
 
     what: str
@@ -55,7 +55,7 @@ class Part:
 
     @property
     def ignored(self) -> bool:
-        """Whether it acts in the model and not here."""
+        """Whether op3 ignores it."""
         return self.fate.startswith(IGNORED)
 
     def __str__(self) -> str:
@@ -68,9 +68,9 @@ class ModelSource:
     """A model, ready to compile.
 
     Attributes:
-        spec: without what is not used, a free base, and what lies around that.
+        spec: the model without unused elements, free base and world.
         followed: joints that follow others or are held.
-        parts: what acted on joints, and what became of it.
+        parts: elements that act on joints, and their fate.
     """
 
     spec: mujoco.MjSpec
@@ -82,10 +82,10 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
     """Read a robot's model.
 
     Raises:
-        ValueError: if MuJoCo cannot read it, or a mesh of a ROS package is not there.
+        ValueError: if MuJoCo cannot read it, or a mesh of a ROS package is missing.
     """
     spec = mujoco.MjSpec.from_file(str(path))
-    spec.compiler.fusestatic = False  # which takes a URDF's first link for a part of the world
+    spec.compiler.fusestatic = False  # which otherwise merges a URDF's first link into the world
     for mesh in spec.meshes:
         if "package:" in mesh.file:
             mesh.file = str(_of_package(mesh.file, path))
@@ -119,7 +119,7 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
 
 
 def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
-    """Give each slide that a servo moves a hinge of its name, which it follows; how far, by joint [m/rad]."""
+    """Add a hinge of the same name for each slide that a servo moves; the slide follows it by a ratio [m/rad]."""
     travels = {name: entry.travel for name, entry in content.joints.items() if entry.travel}
     slides = [one for one in spec.joints if one.name in travels and one.type == mujoco.mjtJoint.mjJNT_SLIDE]
     for slide in slides:
@@ -134,10 +134,10 @@ def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
 
 
 def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, float]) -> Followed:
-    """What the file says of joints without a servo, and what the model says of those that neither lists; what follows a
-    slide follows the servo that moves it."""
+    """Couplings of joints without a servo, from the file or else from the model; a joint coupled to a slide follows the
+    slide's servo."""
     told = {name: entry for name, entry in content.unpowered.items() if not entry.passive}
-    known = {joint.name for joint in spec.joints}  # other names are refused by the check of the file
+    known = {joint.name for joint in spec.joints}  # the check of the file refuses other names
     told = {n: e for n, e in told.items() if n in known and (not e.coupled or e.coupled.joint in content.joints)}
     found: Followed = {
         name: (one.joint, one.ratio, one.offset) if (one := entry.coupled) else (None, 0.0, entry.held or 0.0)
@@ -152,7 +152,7 @@ def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, floa
 
 
 def _mimics(spec: mujoco.MjSpec) -> dict[str, tuple[str, float, float]]:
-    """Couplings that an MJCF's equality of two joints says, which MuJoCo makes of a URDF's `mimic` too."""
+    """Couplings from equalities of two joints in an MJCF, to which MuJoCo also converts a URDF's `mimic`."""
     linear = (e for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_JOINT and e.name2 and not np.any(e.data[2:5]))
     return {one.name1: (one.name2, float(one.data[1]), float(one.data[0])) for one in linear}
 
@@ -184,7 +184,7 @@ def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Itera
 
 
 def _of_package(file: str, model: Path) -> Path:
-    """A mesh of a ROS package, looked for around the model's file."""
+    """A mesh of a ROS package, searched near the model's file."""
     package, _, rest = re.sub("^.*package:/+", "", file).partition("/")
     above = [model.parent, *model.parent.parents][:4]
     tried = [place / rest for place in above] + [place / package / rest for place in above]

@@ -1,4 +1,4 @@
-"""Units of the robot's registers in SI, and gravity: one home for what every room needs.
+"""Units of the robot's registers in SI, and gravity, for all subpackages.
 
 Registers: `assets/servos/xm430-w350.yaml`, and the OpenCR's firmware for the OP3 (ROBOTIS e-Manual).
 """

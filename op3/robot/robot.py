@@ -1,4 +1,4 @@
-"""What a robot is, read from one file: ``assets/robots/<name>.yaml`` or a user's own. See ``docs/your_robot.md``."""
+"""Robots, each read from one file: ``assets/robots/<name>.yaml`` or a user's own. See ``docs/your_robot.md``."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -32,10 +32,10 @@ DEFAULT = "op3"
 
 
 class Robot:
-    """A robot: what its file says, and what follows from it and its model. Every [joint] axis is in its order.
+    """A robot: the content of its file, and quantities derived from its model; [joint] axes are in its order.
 
     Raises:
-        DataFileError: in one sentence, with file, line and the nearest valid name, if something in it cannot be.
+        DataFileError: in one sentence, with file, line and the nearest valid name, if an entry is invalid.
     """
 
     def __init__(self, path: str | Path):
@@ -62,12 +62,12 @@ class Robot:
 
     @property
     def reference(self) -> str:
-        """What a log or a config calls it: its name if it comes with the project, else the path of its file."""
+        """Its reference in logs and configs: its name if it is one of the project, else the path of its file."""
         return self.name if robot_files().get(self.name) == self.path else str(self.path)
 
     @cached_property
     def content_hash(self) -> str:
-        """Twelve hex digits of its file, its servos and its compiled model, whatever the files are called."""
+        """Twelve hex digits of the content of its file, its servos and its compiled model."""
         digest = hashlib.sha256(repr((self.file, self.servos)).encode())
         arrays = ((name, getattr(self.bare_model, name)) for name in sorted(dir(self.bare_model)))
         for name, values in arrays:
@@ -77,22 +77,22 @@ class Robot:
 
     @property
     def firmware_gain(self) -> Array:
-        """Gain of each servo's own position law, as it is delivered, ``[joint]`` in firmware units; 0 without one."""
+        """Factory gain of each servo's own position law, ``[joint]`` in firmware units; 0 without one."""
         return np.array([0.0 if make.position_law is None else make.position_law.gain.si for make in self.servos])
 
     @property
     def controlled(self) -> tuple[str, ...]:
-        """The joints that policies and identification focus on."""
+        """The joints that policies command and errors are averaged over."""
         return self.joints if self.file.controlled is None else self.file.controlled
 
     @property
     def bus_ids(self) -> dict[str, int]:
-        """Bus id of each joint's servo; in the joints' order from 1 where the file gives none."""
+        """Bus id of each joint's servo; from 1 in the joints' order if the file gives none."""
         entries = self.file.joints.items()
         return {name: n if e.bus_id is None else e.bus_id for n, (name, e) in enumerate(entries, start=1)}
 
     def indices(self, names: Iterable[str]) -> NDArray[np.int64]:
-        """Places of joints, ``[joint]`` in the order of `names`.
+        """Indices of joints, ``[joint]`` in the order of `names`.
 
         Raises:
             ValueError: if it has no such joint.
@@ -104,7 +104,7 @@ class Robot:
         return np.array([self._index[name] for name in wanted], dtype=np.int64)
 
     def servo(self, joint: str) -> ServoMake:
-        """The make of a joint's servo, with its loop as the file wants it."""
+        """The make of a joint's servo, with the loop set in the file."""
         make = load_servo(servo_path(self.path, self.file.joints[joint].servo or self.file.servo or ""))
         return make.model_copy(update={"loop": self.file.loop or make.loop})
 
@@ -120,7 +120,7 @@ class Robot:
 
     @property
     def supply(self) -> float | None:
-        """Nominal voltage of the servos' supply [V]; None where they have several."""
+        """Nominal voltage of the servos' supply [V]; None if they have several."""
         return self.servos[0].supply.si if (self.supply_shares == 1).all() else None
 
     @cached_property
@@ -131,13 +131,13 @@ class Robot:
 
     @cached_property
     def speed_limits(self) -> Array:
-        """Fastest commanded speed [joint] in rad/s: nine tenths of the servos' speed without load at their supply."""
+        """Fastest commanded speed [joint] in rad/s: nine tenths of the servos' no-load speed at their supply."""
         free = [(make.limits.no_load_speed, make.supply.si) for make in self.servos]
         return np.array([0.9 * speed.si * min(1.0, supply / (speed.at or supply)) for speed, supply in free])
 
     @cached_property
     def limbs(self) -> tuple[tuple[str, ...], ...]:
-        """Joints that hang together without the base, each limb in the model's order."""
+        """Joints of each limb, connected without the base, in the model's order."""
         groups: dict[str, list[str]] = {}
         for name in self.joints:
             groups.setdefault(self._above(int(self.bare_model.joint(name).bodyid[0]))[0], []).append(name)
@@ -156,7 +156,7 @@ class Robot:
 
     @cached_property
     def sole_geoms(self) -> tuple[int, ...]:
-        """Numbers of the geoms on which it stands, in the bare model: its soles, else what of its feet collides."""
+        """Numbers of the geoms on which it stands, in the bare model: soles, or else colliding geoms of the feet."""
         model = self.bare_model
         if self.file.soles:
             return tuple(int(model.geom(name).id) for name in self.file.soles)
@@ -166,7 +166,7 @@ class Robot:
 
     @property
     def inner_tips(self) -> list[int]:
-        """Which of its key points are the inner tips of the feet."""
+        """Indices of the key points at the inner tips of the feet."""
         count = len(self.file.key_points)
         return list(range(0, count, max(1, count // max(1, len(self.file.feet)))))
 
@@ -179,14 +179,14 @@ class Robot:
         return tuple(found[::-1])
 
     def whole_limbs(self, joints: Iterable[str]) -> tuple[str, ...]:
-        """All joints of the limbs in which these are, in the robot's order."""
+        """All joints of the limbs that contain these joints, in the robot's order."""
         wanted = set(joints)
         chosen = {joint for limb in self.limbs if wanted & set(limb) for joint in limb}
         return tuple(name for name in self.joints if name in chosen)
 
     @property
     def partners(self) -> dict[str, str]:
-        """Joints and their partners on the other side, both ways; none where the file names none."""
+        """Joints and their partners on the other side, in both directions; empty if the file names none."""
         pairs = {name: entry.mirror for name, entry in self.file.joints.items() if entry.mirror}
         return {**pairs, **{partner: name for name, partner in pairs.items()}}
 
@@ -218,7 +218,9 @@ class Robot:
         return np.asarray(joint_position, dtype=float)[..., partners] * signs
 
     def completed(self, angles: Mapping[str, ArrayLike]) -> Array:
-        """Whole-body angles ``[..., joint]`` from some joints' in rad; the rest is as its partner, else at home."""
+        """Whole-body angles ``[..., joint]`` from some joints' in rad; other joints are as their partner, else at
+        home.
+        """
         shape = np.broadcast_shapes(*(np.shape(value) for value in angles.values()))
         position = np.tile(self.home, (*shape, 1))
         for index, value in zip(self.indices(angles), angles.values(), strict=True):
@@ -245,7 +247,7 @@ class Robot:
         return self.completed(self.file.poses[name])
 
     def position(self, joint_position: ArrayLike) -> Array:
-        """Joint angles as a finite float array [joint] of the right length, or a clear error."""
+        """Joint angles as a finite float array [joint], checked."""
         return checked_angles(joint_position, len(self.joints))
 
     @property
@@ -254,8 +256,10 @@ class Robot:
         return self.bare_model.njnt > len(self.joints)
 
     def configuration(self, joint_position: ArrayLike) -> Array:
-        """Positions of all joints of the bare model [joint of the model] in rad and m: those without a servo where the
-        others take them, or at rest."""
+        """Positions of all joints of the bare model [joint of the model] in rad and m.
+
+        Joints without a servo follow the others or are at rest.
+        """
         position = self.position(joint_position)
         if not self.unpowered:
             return position
@@ -280,7 +284,7 @@ class Robot:
         return torque
 
     def log_channel(self, joint: str) -> tuple[LogChannel, float]:
-        """What a foreign log of a joint holds, and its unit of angle [rad]."""
+        """Convention of a joint in external logs, and its unit of angle [rad]."""
         channel = self.file.joints[joint].log
         return channel, ANGLES[channel.unit] or self.servo(joint).position_unit
 
@@ -316,7 +320,7 @@ def _loaded(path: Path, changed: int) -> Robot:
 
 
 def checked_angles(joint_position: ArrayLike, count: int) -> Array:
-    """Joint angles as a finite float array [count], or a clear error."""
+    """Joint angles as a finite float array [count], checked."""
     position = np.asarray(joint_position, dtype=float)
     if position.shape != (count,):
         raise ValueError(f"joint_position must have shape ({count},), got {position.shape}")
@@ -331,7 +335,7 @@ def pose(name: str, robot: str | Robot) -> Array:
 
 
 def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Let what hangs on a fixed body pass through it, as MuJoCo does by itself where that body moves."""
+    """Exclude collisions between a fixed body and its children, as MuJoCo does for moving bodies."""
     for body in spec.bodies:
         above = body.parent
         while body.joints and body.name and above and not above.joints and above.name not in ("", "world"):
@@ -341,13 +345,13 @@ def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def _source(file: DataFile, path: Path, content: RobotFile) -> tuple[mujoco.MjModel, ModelSource]:
-    """The compiled model, its base fixed, and what it was made from."""
+    """The compiled model with its base fixed, and its source."""
     if not path.is_file():
         raise file.fault(("model",), f"names {path}, where there is no file")
     try:
         source = read_model(path, content)
         model = source.spec.compile()
-        model.names.decode()  # bytes that are no text are found here
+        model.names.decode()  # non-text bytes are found here
         return model, source
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())

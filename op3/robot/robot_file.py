@@ -31,14 +31,14 @@ BOARD_ID = 200
 
 
 class LogChannel(Record):
-    """What a foreign log of a joint holds: position = sign * (reading - zero) in `unit`; the rest takes the sign.
+    """Convention of a joint in external logs: position = sign * (reading - zero) in `unit`; the sign applies to all.
 
     Attributes:
         name: of the joint in the log; None: as here.
         sign: 1 or -1.
         zero: reading at joint angle zero, in `unit`.
         unit: of angles and, per second, of velocities: one of `ANGLES`.
-        velocity_factor: multiplies velocities beside that: 0.5 where the log says twice the rate.
+        velocity_factor: further factor of velocities: 0.5 if the log has twice the rate.
     """
 
     name: str | None = None
@@ -58,10 +58,9 @@ class JointEntry(Record):
             either way.
         home: angle in the robot's home pose [rad].
         peak_current: largest current that software may command [A]; None: the largest of its make.
-        mirror: joint on the other side; None where there is none.
-        travel: how far a slide of the model moves per angle of the servo that drives it [m/rad]; the joint is then that
-            angle. None: a hinge.
-        log: what a foreign log of it holds.
+        mirror: joint on the other side; None if there is none.
+        travel: travel of the model's slide per angle of its servo [m/rad]; the joint is then that angle. None: a hinge.
+        log: convention in external logs.
     """
 
     servo: str | None = None
@@ -75,12 +74,12 @@ class JointEntry(Record):
 
 
 class Coupling(Record):
-    """How a joint follows another: its position is `offset` plus `ratio` times that of `joint` [rad; of a slide m].
+    """Coupling of a joint to another: its position is `offset` plus `ratio` times that of `joint` [rad; m for a slide].
 
     Attributes:
-        joint: that it follows.
-        ratio: of its position to that joint's.
-        offset: where it is when that joint is at zero.
+        joint: joint that it follows.
+        ratio: ratio of the positions.
+        offset: its position when that joint is at zero.
     """
 
     joint: str
@@ -92,9 +91,9 @@ class Unpowered(Record):
     """A joint without a servo: exactly one of these.
 
     Attributes:
-        passive: moves freely, with the spring, damping and friction that the model gives it.
+        passive: moves freely, with the spring, damping and friction of the model.
         coupled: follows another joint.
-        held: stays where it is put [rad, m].
+        held: fixed at this position [rad, m].
     """
 
     passive: Literal[True] | None = None
@@ -109,14 +108,14 @@ class Unpowered(Record):
 
 
 class AdjustableNumber(Record):
-    """A number of the model that differs from robot to robot, such as the mass of a pendulum.
+    """A parameter of the model that differs between robots, such as the mass of a pendulum.
 
     Attributes:
         default: in `unit`.
-        unit: of it.
-        body: that it changes.
+        unit: unit of the parameter.
+        body: body that it changes.
         sets: one of `ADJUSTABLE`.
-        factor: by which it is multiplied there.
+        factor: factor by which it is multiplied there.
     """
 
     default: Real
@@ -130,29 +129,30 @@ class RobotFile(Record):
     """The content of a robot file.
 
     Attributes:
-        format: version of the file's form.
-        name: what the robot is called.
+        format: version of the file format.
+        name: name of the robot.
         model: its MJCF or URDF, relative to the file.
-        source: where its numbers come from.
-        base: body that carries the rest; None: whatever the joints hang on.
-        fixed: whether the base is bolted to something, and never free.
+        source: source of its numbers.
+        base: base body; None: the parent of the joints.
+        fixed: whether the base is bolted down.
         imu: site of the IMU, if it has one.
-        feet: bodies that it stands on, if it does, the left one first.
+        feet: bodies that touch the ground, the left one first.
         soles: geoms under the feet that touch the floor, all boxes.
-        key_points: sites of the soles whose place a policy sees, as many per foot, in the order of `feet`; the first of
-            each foot is its inner tip. Without any, a policy of a robot with feet sees the origins of these bodies.
-        tip: site at the end of an arm, which tasks move to a place.
+        key_points: sites of the soles whose positions a policy observes, equally many per foot, in the order of `feet`;
+            the first of each foot is its inner tip. Without key points, a policy observes the origins of the feet.
+        tip: site at the end of an arm, for reaching tasks.
         servo: make of the servos of all joints that name none.
-        loop: who closes the loop of all servos; None: as their makes say.
-        law: servo model that is taken where none is asked for, a name in assets/models; None: one made of its servos.
-        board: what switches the servos' supply and holds the IMU on the bus; None: the servos have power, and no IMU.
-        joints: those with a servo, by name, in the order of the model; entries that say `passive`, `coupled` or `held`
+        loop: `current` or `firmware`, the position loop of all servos; None: that of their makes.
+        law: default model, a name in assets/models; None: a model built from its servo makes.
+        board: board that switches the servos' supply and has the IMU; None: servos always have power, and there is no
+            IMU.
+        joints: joints with a servo, by name, in the order of the model; entries with `passive`, `coupled` or `held`
             become `unpowered`.
         unpowered: the model's joints without a servo. Joints that mimic others, by a URDF's `mimic` or an MJCF's
             equality, are coupled without an entry.
-        controlled: joints that policies and identification focus on; None: all. The others are held at home.
+        controlled: joints that policies command and errors are averaged over; None: all. Others are held at home.
         poses: angles by joint [rad] of named poses; a joint not named is as its mirror partner, else at home.
-        parameters: numbers of the model that differ, by name.
+        parameters: parameters of the model that differ between robots, by name.
     """
 
     format: Literal["op3-robot/1"]
@@ -179,7 +179,7 @@ class RobotFile(Record):
     @model_validator(mode="before")
     @classmethod
     def _empty_joints(cls, values: Any) -> Any:
-        """A joint about which nothing is to be said is written without a value."""
+        """A joint without properties is written without a value."""
         joints = values.get("joints") if isinstance(values, dict) else None
         if isinstance(joints, dict):
             joints = {name: {} if entry is None else entry for name, entry in joints.items()}
@@ -190,12 +190,12 @@ class RobotFile(Record):
 
 
 def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupled: Collection[str] = ()) -> None:
-    """Refuse names that neither the model nor the project has, and what contradicts itself.
+    """Refuse unknown names and contradictory entries.
 
     Args:
-        file: that holds it.
-        content: of the file.
-        model: compiled.
+        file: the file.
+        content: content of the file.
+        model: compiled model.
         coupled: joints that follow others.
 
     Raises:
@@ -232,7 +232,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupl
 
 
 def slide_of(joint: str) -> str:
-    """What a slide is called in the compiled model that a joint of this name drives."""
+    """Name, in the compiled model, of the slide that a joint of this name drives."""
     return f"{joint}_slide"
 
 
@@ -299,7 +299,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
 def _check_limits(
     file: DataFile, place: tuple[str, ...], limits: tuple[float, float], joint: Any, count: float
 ) -> None:
-    """Refuse what is not a range, and what the joint of the model cannot reach by more than a count of its encoder."""
+    """Refuse invalid ranges, and limits beyond the model's range by more than an encoder count."""
     (low, high), (first, last) = limits, joint.range
     if not low < high:
         raise file.fault(place, f"go from {low:g} to {high:g}: the lower first")
@@ -323,12 +323,12 @@ def _check_partners(file: DataFile, content: RobotFile) -> None:
 
 
 def servo_path(file: Path, named: str) -> str | Path:
-    """What a robot file calls a servo: a name in assets/servos, or a file, relative to the robot's."""
+    """Path of the servo that a robot file names: a name in assets/servos, or a file relative to the robot's."""
     return file.parent / named if named.endswith((".yaml", ".yml")) else named
 
 
 def _make(file: DataFile, content: RobotFile, joint: str) -> ServoMake:
-    """The make of a joint's servo, with the loop that the file asks for."""
+    """The make of a joint's servo, with the loop set in the file."""
     own = content.joints[joint].servo
     named, place = own or content.servo, ("joints", joint, "servo") if own else ("servo",)
     if named is None:

@@ -1,4 +1,4 @@
-"""How close parts of a robot come to each other, fast enough for a control loop."""
+"""Distances between parts of a robot, fast enough for a control loop."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -49,7 +49,7 @@ class Gap:
 
 
 class SelfCollision:
-    """The collision shapes of a robot on their own, without masses, ground or forces.
+    """The collision shapes of a robot, without masses, ground or forces.
 
     Parent and child never collide, and neither do parts that touch in the home pose.
 
@@ -58,7 +58,7 @@ class SelfCollision:
     """
 
     def __init__(self, robot: Robot, margin: float = CLEARANCE):
-        # before compiling: MuJoCo sums up what each body may touch at that moment
+        # before compiling, when MuJoCo determines which bodies may collide
         spec = read_model(robot.model_path, robot.file).spec
         for geom in spec.geoms:
             if geom.conaffinity:
@@ -71,7 +71,7 @@ class SelfCollision:
         self._at_home = {pair for pair, _ in self._close(robot.home)}
 
     def nearest(self, joint_position: ArrayLike) -> Gap | None:
-        """The closest pair of parts in a pose [joint] in rad; None where no two are within the margin."""
+        """The closest pair of parts in a pose [joint] in rad; None if no pair is within the margin."""
         close = self._close(joint_position)
         if not close:
             return None
@@ -85,11 +85,11 @@ class SelfCollision:
         overlap: float = LARGEST_OVERLAP,
         ahead: float = LARGEST_OVERLAP_AHEAD,
     ) -> Gap | None:
-        """Parts that are deeper in each other than `overlap` [m], or will be than `ahead` [m]; else None.
+        """Parts that overlap by more than `overlap` [m] now or by more than `ahead` [m] within `HORIZON`; else None.
 
         Args:
             position: measured, [joint] in rad.
-            velocity: measured, [joint] in rad/s, at which the joints are taken to go on for `HORIZON`.
+            velocity: measured, [joint] in rad/s, assumed constant for `HORIZON`.
         """
         coming = np.asarray(position) + HORIZON * np.asarray(velocity)
         return self._deeper(position, overlap) or self._deeper(coming, ahead)
@@ -97,10 +97,10 @@ class SelfCollision:
     def commanded(
         self, position: ArrayLike, target: ArrayLike, p_gain: ArrayLike, ahead: float = LARGEST_OVERLAP_AHEAD
     ) -> Gap | None:
-        """Parts that are deeper in each other than `ahead` [m] where the joints are driven to; else None.
+        """Parts that overlap by more than `ahead` [m] at the commanded angles; else None.
 
-        A soft joint may be sent far into another part without pressing on it. So the pose that counts is the one to
-        which a joint with the highest gain would be sent for the same torque.
+        The target of a joint with a low gain may be far inside another part without pressing on it. The checked pose is
+        therefore the target that would give the same torque with the highest gain.
 
         Args:
             position: measured, [joint] in rad.

@@ -1,4 +1,4 @@
-"""Servos as data: what a make of servo is, read from ``assets/servos/<make>.yaml``. A new make is one file."""
+"""Servo makes as data, read from ``assets/servos/<make>.yaml``. A new make is one file."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ Loop = Literal["current", "firmware"]
 
 
 class Figure(Record):
-    """A number with its unit and where it comes from.
+    """A number with its unit and source.
 
     Attributes:
         value: in `unit`; all are above zero.
         unit: one of `TO_SI`.
         source: key of the file's `sources`.
-        at: supply voltage at which it holds [V], where it depends on that.
+        at: supply voltage at which it is valid [V], if it depends on that.
     """
 
     value: Annotated[Real, Field(gt=0)]
@@ -68,7 +68,7 @@ class Figure(Record):
 
 
 def _in(unit: str) -> AfterValidator:
-    """That a figure is in this SI unit, or in one that becomes it."""
+    """Validator that a number has this SI unit or one that converts to it."""
     known = [name for name, (of, _) in TO_SI.items() if of == unit]
 
     def check(figure: Figure) -> Figure:
@@ -104,10 +104,10 @@ class Counts(Record):
         position: counts per turn of the encoder.
         zero: reading of the encoder in the middle of its turn.
         velocity: one unit of velocity.
-        current: one unit of current, where the servo reads any.
+        current: one unit of current, if the servo measures it.
         voltage: one unit of voltage.
-        temperature: one unit of temperature, where the servo reads any.
-        duty: units of full duty, where the servo reads any.
+        temperature: one unit of temperature, if the servo measures it.
+        duty: units of full duty, if the servo reports it.
     """
 
     position: Annotated[Figure, _in("counts/turn")]
@@ -120,16 +120,16 @@ class Counts(Record):
 
 
 class ServoRatings(Record):
-    """What the servo stands.
+    """Limits of the servo.
 
     Attributes:
         stall_torque: at the voltage `at` [N m].
         no_load_speed: at the voltage `at` [rad/s].
         current: largest [A].
         continuous_current: continuous rating [A].
-        low_voltage: least supply [V].
-        high_voltage: greatest supply [V].
-        temperature: at which it switches itself off [C].
+        low_voltage: lowest supply voltage [V].
+        high_voltage: highest supply voltage [V].
+        temperature: temperature at which it switches itself off [C].
         thermal_resistance: from windings to air [K/W].
     """
 
@@ -148,9 +148,9 @@ class PositionLaw(Record):
 
     Attributes:
         error_gain: duty per rad of error and unit of the gain's register.
-        max_duty: largest duty it commands.
-        goal_speed: the goal is followed no faster than this [rad/s].
-        gain: the register's value from the factory, or as it is usually set.
+        max_duty: largest duty that it commands.
+        goal_speed: largest speed at which the goal is followed [rad/s].
+        gain: factory value of the register, or the usual one.
     """
 
     error_gain: Annotated[Figure, _in("1/rad")]
@@ -163,22 +163,21 @@ class ServoMake(Record):
     """A make of servo, see ``docs/your_robot.md``.
 
     Attributes:
-        format: version of the file's form.
+        format: version of the file format.
         name: as in the file's name.
-        maker: who makes it.
-        sources: where its numbers come from, by key.
-        loop: who closes the loop in this house: `current` (a PD outside commands currents) or `firmware` (the servo's
-            own position law).
+        maker: manufacturer.
+        sources: sources of its numbers, by key.
+        loop: position loop in op3: `current` (an external PD commands currents) or `firmware` (the servo's own law).
         supply: nominal supply voltage [V].
         motor: the motor and its gear.
         counts: units of the registers.
-        limits: what the servo stands.
-        position_law: of the firmware.
-        model_number: what it answers to a ping, where it does.
-        bus: register table by which `op3.deploy` drives and emulates it, where it does.
+        limits: limits of the servo.
+        position_law: position law of the firmware.
+        model_number: answer to a ping, if known.
+        bus: register table with which `op3.deploy` drives and emulates it, if supported.
         aliases: other names that recordings give it.
-        recorded: channels of servo-bench recordings that were really read, beside position, speed and voltage; None
-            where there are no such recordings of it.
+        recorded: channels of servo-bench recordings that were really measured, besides position, speed and voltage;
+            None without such recordings.
     """
 
     format: Literal["op3-servo/1"]
@@ -205,7 +204,7 @@ class ServoMake(Record):
         """One unit of a register of `Counts`, in SI.
 
         Raises:
-            ValueError: if the servo does not read it.
+            ValueError: if the servo does not measure it.
         """
         figure = getattr(self.counts, register)
         if figure is None:
@@ -214,21 +213,21 @@ class ServoMake(Record):
 
     @property
     def peak_current(self) -> float:
-        """The largest [A]; where its file gives none, that of the stalled motor at its supply."""
+        """Largest current [A]; if its file gives none, that of the stalled motor at its supply."""
         limits = self.limits
         return limits.current.si if limits.current else self.supply.si / self.motor.terminal_resistance.si
 
     @property
     def continuous_current(self) -> float:
-        """Continuous current rating [A]; a fifth of the largest current where its file gives none."""
+        """Continuous current rating [A]; a fifth of the largest current if its file gives none."""
         limits = self.limits
         return 0.2 * self.peak_current if limits.continuous_current is None else limits.continuous_current.si
 
     @property
     def thermal_resistance(self) -> float:
-        """From windings to air [K/W].
+        """Thermal resistance from windings to air [K/W].
 
-        Where its file gives none: the greatest that allows `continuous_current` continuously, in air of 25 C.
+        If its file gives none: the largest value that allows `continuous_current` continuously, in air of 25 C.
         """
         limits = self.limits
         if limits.thermal_resistance is not None:
@@ -241,19 +240,19 @@ class ServoMake(Record):
         return self.motor.gear_ratio.si * self.motor.torque_constant.si
 
     def stands(self, voltage: float) -> bool:
-        """Whether it may be supplied with a voltage [V]."""
+        """Whether a supply voltage [V] is within its limits."""
         return self.limits.low_voltage.si <= voltage <= self.limits.high_voltage.si
 
 
 def supply_shares(makes: Sequence[ServoMake]) -> NDArray[np.float64]:
-    """Supply of each servo over that of the first [joint], which all have that stand it."""
+    """Supply voltage of each servo relative to the first [joint]; equal for all whose limits allow it."""
     first = makes[0].supply.si
     return np.array([1.0 if make.stands(first) else make.supply.si / first for make in makes])
 
 
 @lru_cache(maxsize=1)
 def servo_files() -> dict[str, Path]:
-    """The files of all makes that come with the project, by name."""
+    """The files of all makes of the project, by name."""
     return {path.stem: path for path in sorted(asset_path("servos").glob("*.yaml"))}
 
 
@@ -262,7 +261,7 @@ def load_servo(name: str | Path) -> ServoMake:
     """A make of servo.
 
     Args:
-        name: of a file in ``assets/servos``, in any case, or the path of one.
+        name: name of a file in ``assets/servos``, case-insensitive, or a path.
 
     Raises:
         DataFileError: if there is none of this name, or its file is wrong.
@@ -287,7 +286,7 @@ def load_servo(name: str | Path) -> ServoMake:
 
 
 def find_servo(name: str | None) -> ServoMake | None:
-    """The make that a recording names, also by an alias or without its variant; None where none is meant."""
+    """The make that a recording names, also by an alias or without its variant; None if unknown."""
     wanted = _plain(name or "")
     makes = [load_servo(known) for known in servo_files()] if wanted else []
     exact = [make for make in makes if wanted in map(_plain, (make.name, *make.aliases))]
@@ -300,7 +299,7 @@ def _plain(name: str) -> str:
 
 
 def _figures(record: Record, place: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Figure]]:
-    """All numbers of a record with their places."""
+    """All numbers of a record with their paths."""
     found = []
     for name in type(record).model_fields:
         value = getattr(record, name)

@@ -1,4 +1,4 @@
-"""What a servo does in one millisecond, and the catalogue of effects it is made of."""
+"""The servo model, computed once per millisecond, and its catalogue of effects."""
 
 from op3.servo import effects as _registered  # noqa: F401
 from op3.servo.effect import (

@@ -1,6 +1,6 @@
-"""Parameters that differ by a condition of the recording, such as the arm of a bench that was remounted.
+"""Parameters that depend on a condition of the recording, such as the arm of a bench that was remounted.
 
-Their names say when they hold: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
+Their names contain the condition: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
 ``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=elbow`` is that of one
 joint, in all logs.
 """
@@ -16,7 +16,7 @@ JOINT = "joint"
 
 @dataclass(frozen=True)
 class Condition:
-    """What a log's metadata must say, or which joint it is.
+    """Condition on a log's metadata, or the choice of a joint.
 
     Attributes:
         field: of the metadata, or `JOINT`.

@@ -1,4 +1,4 @@
-"""What an effect is: one physical thing a servo, body, sensor or floor does, as a small class.
+"""Base classes of effects: one physical law of a servo, body, sensor or floor is one small class.
 
 A robot model is a list of effects with parameter values. The same class serves simulation, identification,
 diagnosis and training; adding an effect is one class here and one test.
@@ -18,7 +18,7 @@ from op3.servo.signals import Periods, Trunk
 
 
 class Stage(IntEnum):
-    """Where in a simulation step an effect acts; effects run in this order."""
+    """Stage of a simulation step in which an effect acts; effects run in this order."""
 
     SENSING = 0
     COMMAND = 1
@@ -49,13 +49,13 @@ class Parameter:
         low: smallest plausible value.
         high: largest plausible value.
         nominal: a sensible first guess.
-        neutral: value at which the effect changes nothing; None where there is no such value.
+        neutral: value at which the effect has no influence; None if there is no such value.
         per_joint: whether joints may differ; False for a quantity of the whole robot.
-        least: smallest value that physics allows, whatever the plausible range.
-        most: largest value that physics allows.
+        least: smallest physically possible value.
+        most: largest physically possible value.
         text: what it is, in a sentence.
-        searched: whether it is searched where its effect is; others are fixed unless a config names them.
-        mirrored: whether it is an angle of the joint, to be found at the mirrored angle in the joint on the other side.
+        searched: whether it is searched together with its effect; others are fixed unless a config names them.
+        mirrored: whether it is an angle of the joint, which is mirrored in the joint on the other side.
     """
 
     name: str
@@ -74,18 +74,18 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Usual:
-    """What a number is in sound robots, which every baseline fit of a diagnosis has: one of the chain of measurement.
+    """Usual value of a parameter of the measurement chain; every baseline fit includes these parameters.
 
     Attributes:
-        value: expected.
-        spread: standard deviation of what is usual; a number far from it is a finding.
+        value: expected value.
+        spread: standard deviation among sound robots; a value far outside is a finding.
         wide: standard deviation of the baseline's prior.
         most: largest value that the baseline may take.
-        own: whether joints differ.
-        least: smallest value that the baseline may take, beside what physics allows.
-        none: how much is as good as none where a model does not have it, a standard deviation; None where such a model
-            says nothing of it, as of sensors.
-        bench: whether only benches have it.
+        own: whether joints may differ.
+        least: smallest value that the baseline may take, within the physically possible ones.
+        none: standard deviation about zero for models without the effect; None if such a model makes no statement
+            about it, as for sensors.
+        bench: whether it applies only to benches.
     """
 
     value: float
@@ -100,13 +100,13 @@ class Usual:
 
 @dataclass(frozen=True)
 class ModelEdit:
-    """A change to a MuJoCo model, declared as data and carried out by the simulation.
+    """A change to a MuJoCo model, declared as data and applied by the simulation.
 
     Attributes:
         field: name of the ``mjModel`` array, for example ``dof_armature``.
         target: which rows: the servo joints' degrees of freedom, the bodies that they move, the robot's base body, the
             colliding geoms of its feet, those of the ground, or the one row of an option such as ``opt.gravity``. A
-            scene without feet or ground has none of these rows, and the edit changes nothing there.
+            scene without feet or ground has none of these rows, and the edit has no effect.
         operation: whether the parameter replaces the compiled value, adds to it, or scales it by ``1 + parameter``; or
             ``turn``, which expresses a vector in a frame that is turned by the parameter [rad] about axis `column`.
         parameter: name of the parameter whose value is written.
@@ -130,61 +130,60 @@ class Effect:
     """Base class of everything in the catalogue; `register` makes subclasses frozen dataclasses of their options.
 
     The law of an effect is a few scalar functions of one joint, compiled with those of all others into one kernel; they
-    do without objects and memory of their own. Each is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the
-    effect's own ``memory``, ``p`` the parameters of the whole catalogue, neutral where their effect is off. Memory,
-    constants and options bear the effect's name: ``s.lugre_bent``, ``p.motor_gear_ratio``. An option that is a word
-    counts as the place in its list.
+    use no objects and allocate no memory. Each is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the
+    effect's own ``memory``, ``p`` the parameters of the whole catalogue, neutral if their effect is off. Names of
+    memory, constants and options begin with the effect's name: ``s.lugre_bent``, ``p.motor_gear_ratio``. An option with
+    named choices is the index of the choice.
 
-    | function | when | for |
+    | function | when it is called | it computes |
     |---|---|---|
     | ``prepare(p)`` | when parameters are set | ``constants`` of a step |
-    | ``reset(s, p)`` | at the start | memory, which is zero before |
-    | ``sense(s, p)`` | whenever sensors are read | what they say; memory is only its own |
+    | ``reset(s, p)`` | at the start | initial memory, zero by default |
+    | ``sense(s, p)`` | whenever sensors are read | sensor readings; it may only change its own memory |
     | ``tick(s, p)`` | once per control period, when commands arrived | commands |
-    | ``begin(s, p)`` | first in every step | bringing memory up to the joint's new state |
-    | ``apply(s, p)`` | in every step, by stage and rank | the law |
-    | ``finish(s, p)`` | last in every step | what must be remembered of it |
-    | ``motor_side(s, p)`` | before a servo reports of itself | the motor's velocity in place of the joint's |
-    | ``report(s, p)`` | when a row of a log is read | what it says of itself and does not act on |
-    | ``balance(s, p, torque, rests)`` | where a simulation starts from data | bending what is elastic |
+    | ``begin(s, p)`` | first in every step | memory for the joint's new state |
+    | ``apply(s, p)`` | in every step, in order of stage and rank | the law |
+    | ``finish(s, p)`` | last in every step | memory for the next step |
+    | ``motor_side(s, p)`` | before ``report`` | the motor's velocity instead of the joint's |
+    | ``report(s, p)`` | when a row of a log is read | reported values that do not influence the servo |
+    | ``balance(s, p, torque, rests)`` | when a simulation starts from data | initial deflection of elastic elements |
 
-    Position, velocity, load torque, bus voltage and target current may be changed during a step; after it they are what
-    they were. `balance` gets the torque by which the last step exceeds what the measured motion asks for [N m] and
-    whether the joint rests, and returns the torque that it leaves to the effects nearer to the motor. An effect that
-    has a `depth` gets as many numbers of memory more, as the last argument of ``reset``, ``tick`` and ``apply``.
+    Position, velocity, load torque, bus voltage and target current may be changed during a step; afterwards they are
+    restored. `balance` gets the torque by which the last step exceeds the torque of the measured motion [N m] and
+    whether the joint rests, and returns the torque that it leaves to the effects nearer to the motor. An effect with a
+    `depth` gets that many further numbers of memory, as the last argument of ``reset``, ``tick`` and ``apply``.
 
-    What the diagnosis needs to find an effect stands beside the law. A *secant* is one finite change of parameters at
-    which a prediction is compared with that of the model without it: an amount that is added to what the parameter is
-    (its neutral value where the effect is off), or the value itself where a parameter has no neutral value. It may
-    change a parameter of another effect, if that is on. Effects that are no hypothesis (the motor, the controller) have
-    no secants.
+    Further class attributes are for the diagnosis. A *secant* is a finite change of parameters at which a prediction is
+    compared with that of the unchanged model: an amount that is added to the parameter (to its neutral value if the
+    effect is off), or the value itself if the parameter has no neutral value. It may change a parameter of another
+    effect, if that is on. Effects that are not hypotheses (the motor, the controller) have no secants.
 
     Class attributes:
         name: identifier in ``model.yaml`` and in ``effect=[name]``.
         stage: when it acts.
         rank: place within the stage; effects of one rank act in the order of their names.
         equation: the law in one line.
-        source: where the law comes from.
+        source: source of the law.
         parameters: its numbers.
-        memory: names of what it remembers.
-        constants: names of what `prepare` computes.
-        edits: what it changes in the MuJoCo model.
-        reads: signals that simulations fill only where an effect asks for them.
-        commands: inputs without which it cannot act.
+        memory: names of its memory.
+        constants: names of the constants that `prepare` computes.
+        edits: its changes to the MuJoCo model.
+        reads: signals that simulations fill only if an effect lists them.
+        commands: inputs that it requires.
         secants: finite changes for screening, several where the effect is not local in its parameters.
         fingerprint: how it shows in the residual, measured minus predicted.
         confounders: other effects that may look like it.
-        separating_experiment: what tells it from them.
-        scopes: who can have it; of parameters that joints share the whole robot, whatever is said here.
-        usual: of parameters that every baseline fit has, what they are in sound robots.
-        spread: by how much servos of one make differ in a parameter, a standard deviation relative to its value.
-        written: options that say how the same law is written, and ways that are tried; which a servo obeys decides no
-            name.
-        foreseeable: whether a short window says what it does there; a lost packet is not foreseen.
-        free_base: whether only a robot whose base is free shows it.
-        both_sides: whether it is a difference between left and right, which one side alone does not show.
-        acts_in: name of the effect whose functions act for this one too.
-        stiff: whether it moves within milliseconds, so that no simulation of it may take longer steps than usual.
+        separating_experiment: experiment that distinguishes it from them.
+        scopes: possible scopes; always the whole robot for parameters that joints share.
+        usual: usual values of parameters that every baseline fit includes.
+        spread: standard deviation of a parameter between servos of one make, relative to its value.
+        written: options with alternative forms of the same law, which are all tried; the name does not depend on the
+            form.
+        foreseeable: whether its influence in a short window can be predicted; that of lost packets cannot.
+        free_base: whether only a robot with a free base shows it.
+        both_sides: whether it is a difference between left and right, which one side does not show.
+        acts_in: name of the effect whose functions also compute this one.
+        stiff: whether its dynamics take milliseconds, so that simulations must not use longer steps than usual.
     """
 
     name: ClassVar[str]
@@ -213,7 +212,7 @@ class Effect:
     stiff: ClassVar[bool] = False
 
     def __post_init__(self):
-        """Refuse options of the wrong kind: a misspelt form would choose another law.
+        """Refuse options of the wrong type: a misspelt form would choose another law.
 
         Raises:
             ValueError: if an option is none of its choices, or not a finite number where one belongs.
@@ -230,7 +229,7 @@ class Effect:
                 raise ValueError(f"effect {self.name!r}: {option} must be a {number} number, got {value!r}")
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """All parameters of the model as this effect leaves them; or an error where they are none it can have.
+        """All parameters of the model after the changes of this effect; raises an error if they are invalid.
 
         Args:
             values: parameters of all effects that are on, each ``[sim, joint]``.
@@ -240,12 +239,12 @@ class Effect:
         return values
 
     def depth(self, clock: Periods) -> int:
-        """How many numbers beside its memory it remembers of each joint."""
+        """Further numbers of memory per joint."""
         del clock
         return 0
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
-        """Change what the trunk's IMU says.
+        """Change the readings of the trunk's IMU.
 
         Args:
             values: parameters of the model, ``[sim, 1]`` those of the whole robot.
@@ -253,7 +252,7 @@ class Effect:
 
     @classmethod
     def related(cls, names: Collection[str]) -> bool:
-        """Whether it may look like one of some effects: either names the other as its confounder."""
+        """Whether it is a confounder of one of some effects, or they of it."""
         return bool(set(names) & set(cls.confounders)) or any(
             cls.name in _CATALOGUE[name].confounders for name in names
         )
@@ -272,7 +271,7 @@ Registered = TypeVar("Registered", bound=type[Effect])
 
 @dataclass_transform(frozen_default=True)
 def register(effect: Registered) -> Registered:
-    """Class decorator that makes an effect a frozen dataclass of its options, and puts it into the catalogue.
+    """Class decorator that makes an effect a frozen dataclass of its options, and adds it to the catalogue.
 
     Raises:
         ValueError: if its name, or the name of one of its parameters, is taken.
@@ -319,7 +318,7 @@ def parameter(name: str) -> Parameter:
 
 
 def in_stage_order(effects: Sequence[Effect]) -> list[Effect]:
-    """Effects sorted by stage and rank; those of one rank keep their order.
+    """Effects sorted by stage and rank; effects of equal rank keep their order.
 
     Raises:
         ValueError: if an effect appears twice.

@@ -1,8 +1,8 @@
 """All effects of the catalogue as one law of a joint, in machine code.
 
-The functions of all effects stand in the order of their stages behind a bit each that switches them on, so that any
-combination runs what was compiled once. The attributes of this module that `op3.servo.rows` and simulations call
-(`begin`, `drive`, `respond`...) are made of the catalogue when they are first asked for, and anew when it has grown.
+The functions of all effects run in the order of their stages, each switched by a bit, so that one compiled kernel
+serves all combinations. The attributes of this module that `op3.servo.rows` and simulations call (`begin`, `drive`,
+`respond`...) are generated from the catalogue at their first use, and again after it has grown.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Kernel:
 
 
 def current() -> Kernel:
-    """The kernel of the catalogue as it is now."""
+    """The kernel of the present catalogue."""
     return _made(tuple(sorted(catalogue().values(), key=lambda effect: (effect.stage, effect.rank, effect.name))))
 
 
@@ -125,7 +125,7 @@ def _made(effects: tuple[type[Effect], ...]) -> Kernel:
 
 
 def _options(effect: Effect) -> dict[str, float]:
-    """Fields of the options; a word counts as the place in its list."""
+    """Fields of the options; a named choice is its index."""
     hints, made = type_hints(type(effect)), {}
     for option in effect.options():
         value = getattr(effect, option)

@@ -1,4 +1,4 @@
-"""Functions in machine code, without objects and memory of their own, which a graphics processor could run too."""
+"""Functions in machine code, without objects and allocations, which a GPU could run too."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,12 +12,12 @@ INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "
 
 
 def scalar(function: Callable[..., Any]) -> Any:
-    """A function of numbers that both machine code and Python call."""
+    """A function of numbers that machine code and Python can call."""
     return numba.njit(**OPTIONS)(function)
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """A function that machine code alone calls, and takes in whole: half the time to compile, and to run."""
+    """A function that only machine code calls, always inlined: half the time to compile and to run."""
     return numba.njit(**OPTIONS, **INNER)(function)
 
 

@@ -1,4 +1,4 @@
-"""A simulated robot, completely: the effects that are on, and what their parameters are worth."""
+"""Complete description of a simulated robot: the effects that are on, and the values of their parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ class Estimate:
 
     Attributes:
         value: shared by all joints that `joints` does not name, in the parameter's unit.
-        low: lower end of the interval; None where no data has bounded it.
+        low: lower end of the interval; None without data.
         high: upper end of the interval.
         joints: value per joint name, where it differs.
         intervals: low and high ends of these, by joint name, where data have bounded them.
@@ -37,13 +37,13 @@ class Estimate:
 class RobotModel:
     """The list of effects that are on, with their parameter values.
 
-    A name of a parameter or an effect that is not on is a ValueError that says what there is.
+    Unknown names of parameters or effects raise a ValueError that lists the known ones.
 
     Attributes:
         effects: each at most once.
         estimates: by parameter name; parameters without an entry have their nominal value.
-        bus_voltage: battery or supply voltage [V], where a log does not carry it.
-        provenance: where the values come from: data, seed, date, loss.
+        bus_voltage: battery or supply voltage [V] for logs without it.
+        provenance: origin of the values: data, seed, date, loss.
     """
 
     effects: tuple[Effect, ...]
@@ -103,7 +103,7 @@ class RobotModel:
         return shared.by.get(condition, shared)
 
     def under(self, metadata: Mapping[str, Any]) -> "RobotModel":
-        """This model as it is for a log with these metadata, by field: conditional values that hold become shared.
+        """This model for a log with these metadata, by field: conditional values that apply become shared.
 
         Raises:
             ValueError: if a condition names a field that there is not.
@@ -145,7 +145,7 @@ class RobotModel:
         return replace(self, estimates=estimates)
 
     def moved(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
-        """This model with other shared values; joints with values of their own go along, see `for_joints`."""
+        """This model with other shared values; separate values of joints change too, see `for_joints`."""
         kept = {}
         for name, value in values.items():
             made = value if isinstance(value, Estimate) else Estimate(float(value))
@@ -155,10 +155,10 @@ class RobotModel:
         return self.with_values(kept)
 
     def for_joints(self, name: str, values: Tensor, joints: Sequence[str]) -> Tensor:
-        """What each joint has where the shared value of a parameter is another.
+        """The value of each joint for another shared value of a parameter.
 
-        A joint with a value of its own keeps its ratio to the shared one, as servos differ by shares; one without the
-        effect stays without it. Where the shared value is zero or has another sign, it keeps its difference.
+        A joint with a separate value keeps its ratio to the shared one, since servos differ by ratios; a joint without
+        the effect stays without it. If the shared value is zero or changes sign, the joint keeps its difference.
 
         Args:
             values: shared ones, ``[candidate]``.
@@ -205,7 +205,7 @@ def _with_special(shared: Estimate, condition: Condition, special: Estimate) -> 
 
 
 def _check(known: Parameter, estimate: Estimate) -> None:
-    """Refuse values that physics does not allow, and intervals that are none."""
+    """Refuse physically impossible values, and invalid intervals."""
     for value in (estimate.value, *estimate.joints.values()):
         if not known.least <= value <= known.most:
             allowed = (

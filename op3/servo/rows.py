@@ -11,7 +11,7 @@ from op3.servo.machine_code import entry, part
 
 @part
 def sense(one, p, on):
-    """What the servo's sensors say of a joint."""
+    """Compute the servo's sensor readings of a joint."""
     one.measured_position, one.measured_velocity = one.position, one.velocity
     kernel.sense(one, p, on)
 
@@ -74,7 +74,7 @@ def respond(one, p, past, on):
 
 @part
 def report(one, p, on):
-    """What the servo says of itself in a log; its sensors were read."""
+    """Compute the values that the servo reports in a log, after its sensors were read."""
     one.measured_current, velocity = one.current, one.velocity
     kernel.motor_side(one, p, on)
     kernel.report(one, p, on)
@@ -132,7 +132,7 @@ def sense_all(s, p, on):
 
 @entry
 def report_all(s, p, on):
-    """Read the sensors, and what servos say of themselves."""
+    """Read the sensors, and compute the values that servos report."""
     for i in range(len(s)):
         for j in range(s.shape[1]):
             sense(s[i, j], p[min(i, len(p) - 1), j], on)
@@ -141,7 +141,7 @@ def report_all(s, p, on):
 
 @entry
 def balance_all(s, p, torque, rests, on):
-    """Bend what is elastic, so that joints do what was measured; `torque` and `rests` are ``[sim, joint]``."""
+    """Deflect elastic elements so that joints move as measured; `torque` and `rests` are ``[sim, joint]``."""
     for i in range(len(s)):
         for j in range(s.shape[1]):
             kernel.balance(s[i, j], p[min(i, len(p) - 1), j], torque[i, j], rests[i, j], on)

@@ -45,17 +45,17 @@ class Servos:
     """The law of a model's effects for all joints of some simulated robots.
 
     ``servos.set(values)``; ``servos.reset()``; once per control period fill in commands and ``servos.tick()``; once per
-    simulation step fill in position, velocity and load torque, and ``servos.step()``; then hand ``applied_torque``,
+    simulation step fill in position, velocity and load torque, and ``servos.step()``; then pass ``applied_torque``,
     ``damping`` and ``friction_bound`` to the physics. All of these are `signals`.
 
     Args:
-        effects: what is on; their order does not matter.
+        effects: effects that are on, in any order.
         joints: names of the joints; ``l_`` and ``r_`` begin those of the left and the right side.
         timestep: simulation step [s].
         period: time between ticks [s].
 
     Attributes:
-        signals: what flows through the law, ``[sim, joint]``.
+        signals: signals of the law, ``[sim, joint]``.
 
     Raises:
         ValueError: if an effect is listed twice, or is not in the catalogue.
@@ -80,7 +80,7 @@ class Servos:
         return any(signal in effect.reads for effect in self.effects)
 
     def set(self, values: Mapping[str, Tensor]) -> None:
-        """Take parameter values, each broadcastable to ``[sim, joint]``, by name.
+        """Set parameter values, each broadcastable to ``[sim, joint]``, by name.
 
         Raises:
             ValueError: if a value is missing.
@@ -121,15 +121,15 @@ class Servos:
         rows.step_all(self.records, self.parameters, self.past, self.on)
 
     def sense(self) -> None:
-        """Fill in what the servos' sensors say of the joint state in the signals."""
+        """Compute the sensor readings of the joint state in the signals."""
         rows.sense_all(self.records, self.parameters, self.on)
 
     def report(self) -> None:
-        """Fill in what the servos say of joint state and current in a log."""
+        """Compute the joint state and current that the servos report in a log."""
         rows.report_all(self.records, self.parameters, self.on)
 
     def balance(self, torque: Tensor, rests: Tensor) -> None:
-        """Bend elastic elements, from the link to the motor, so that joints do what was measured.
+        """Deflect elastic elements, from the link to the motor, so that joints move as measured.
 
         Args:
             torque: by which the torque of the last step exceeds what the measured motion asks for [N m],
@@ -139,7 +139,7 @@ class Servos:
         rows.balance_all(self.records, self.parameters, torque.numpy(), rests.numpy(), self.on)
 
     def sense_trunk(self, trunk: Trunk) -> Trunk:
-        """What the trunk's IMU says of the true orientation and rates, which are left as they are."""
+        """The IMU's readings of the true orientation and rates, which are not changed."""
         seen = Trunk(trunk.quaternion, trunk.angular_velocity)
         for effect in self.effects:
             effect.sense_trunk(seen, self._values)

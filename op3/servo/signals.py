@@ -1,4 +1,4 @@
-"""What flows through the servo law, of each joint, of the trunk and in time."""
+"""Signals of the servo law: per joint, of the trunk, and its time steps."""
 
 from dataclasses import dataclass
 
@@ -69,7 +69,7 @@ torque, damping and friction to the physics."""
 
 @dataclass
 class Trunk:
-    """What the trunk's IMU says.
+    """Readings of the trunk's IMU.
 
     Attributes:
         quaternion: orientation, ``[sim, 4]``, w first.
@@ -82,7 +82,7 @@ class Trunk:
 
 @dataclass(frozen=True)
 class Periods:
-    """The two rhythms of the law.
+    """The two time steps of the law.
 
     Attributes:
         timestep: simulation step [s].

@@ -1,4 +1,4 @@
-"""What bodies carry beyond their models."""
+"""Masses, centres of mass and inertias beyond the robot's model."""
 
 from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, Usual, register
 

@@ -1,4 +1,4 @@
-"""What is lost on the servos' bus."""
+"""Packets lost on the servos' bus."""
 
 from typing import Literal
 
@@ -14,7 +14,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 @scalar
 def chance(seed, number):
-    """A random number in [0, 1) that follows from seed and place alone: splitmix64 (Steele et al., 2014)."""
+    """A random number in [0, 1) as a function of seed and index: splitmix64 (Steele et al., 2014)."""
     mixed = np.uint64(seed) * np.uint64(0xD1342543DE82EF95) + (np.uint64(number) + np.uint64(1)) * GOLDEN
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -25,14 +25,13 @@ def chance(seed, number):
 class PacketDrop(Effect):
     """Some command packets do not arrive; the servos then hold their last command.
 
-    One packet carries the commands of all servos, so all lose it. Which packets are lost follows from the seed and the
-    number of the tick alone: all simulations lose the same ones, and more where the probability is higher. Where the
-    signal ``packet`` tells whether one arrived, as a diagnosis reads it off a log, that counts if the probability is
-    above 0.
+    One packet carries the commands of all servos, so all lose it. The lost packets depend only on the seed and the
+    number of the tick: all simulations lose the same packets, and more with a higher probability. If the signal
+    ``packet`` states whether one arrived, as a diagnosis reads from a log, it is used if the probability is above 0.
 
     Attributes:
-        seed: of the random numbers.
-        signal: what is held: the current of a current-driven servo, or the goal of a position servo.
+        seed: seed of the random numbers.
+        signal: the held signal: the current of a current-driven servo, or the goal of a position servo.
     """
 
     name = "packet_drop"
@@ -58,7 +57,7 @@ class PacketDrop(Effect):
 
     @staticmethod
     def tick(s, p):
-        """Hold the last command where this packet is lost."""
+        """Hold the last command if this packet is lost."""
         if s.packet == 0.0:
             lost = chance(p.packet_drop_seed, s.packet_drop_number) < p.drop_probability
         else:

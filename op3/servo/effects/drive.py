@@ -1,4 +1,4 @@
-"""Who closes the position loop, and how late its commands arrive."""
+"""Position loops, and the latency of their commands."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,7 +19,7 @@ class CurrentPD(Effect):
 
     Attributes:
         current_limit: the servo clips target currents at this value [A].
-        resolution: step of the register that takes the target current [A]; 0 for none.
+        resolution: unit of the register for the target current [A]; 0: not quantised.
     """
 
     name = "current_pd"
@@ -42,11 +42,11 @@ class CurrentPD(Effect):
 
 @register
 class Latency(Effect):
-    """Commands act late by a constant time, which need not be a whole number of steps.
+    """Commands act with a constant delay, which need not be a whole number of steps.
 
     Attributes:
-        longest: largest latency the memory is made for [s].
-        signal: what is late: the current of a current-driven servo, or the goal of a position servo.
+        longest: largest latency that fits into the memory [s].
+        signal: the delayed signal: the current of a current-driven servo, or the goal of a position servo.
     """
 
     name = "latency"
@@ -72,13 +72,13 @@ class Latency(Effect):
     signal: Literal["target_current", "goal"] = "target_current"
 
     def __post_init__(self):
-        """See `Effect`; no fit asks for more than the memory holds."""
+        """See `Effect`; limits the searched range to the memory."""
         super().__post_init__()
         known = tuple(replace(known, most=self.longest) for known in type(self).parameters)
         object.__setattr__(self, "parameters", known)
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """Nothing is changed; a latency must be one that the memory holds.
+        """Check that latencies fit into the memory; nothing is changed.
 
         Raises:
             ValueError: if a latency is negative or longer than the memory.
@@ -92,7 +92,7 @@ class Latency(Effect):
         return values
 
     def depth(self, clock: Periods) -> int:
-        """Commands that can be on their way, and the one in force."""
+        """Number of commands under way, and the current one."""
         return ceil(self.longest / clock.period - 1e-9) + 1
 
     @staticmethod
@@ -107,14 +107,14 @@ class Latency(Effect):
 
     @staticmethod
     def tick(s, p, past):
-        """Put the new command in front of the older ones."""
+        """Store the new command before the older ones."""
         for age in range(len(past) - 1, 0, -1):
             past[age] = past[age - 1]
         past[0] = s.target_current if p.latency_signal == CURRENT else s.goal
 
     @staticmethod
     def apply(s, p, past):
-        """Let through the mean over the step of what has arrived."""
+        """Output the mean over the step of the commands that have arrived."""
         arrived, before, last, since = 0.0, 0.0, 0.0, 0.0
         for age in range(len(past)):
             share = acted(age, s.phase, p.latency_steps, p.latency_steps_per_tick)
@@ -137,7 +137,7 @@ class PositionServo(Effect):
     Attributes:
         error_gain: duty per radian of error and unit of the firmware's kp.
         max_duty: largest duty cycle.
-        goal_speed: the goal is followed at no more than this speed [rad/s].
+        goal_speed: largest speed at which the goal is followed [rad/s].
         goal_filter: time constant of the filter on the goal's derivative [s].
     """
 
@@ -165,13 +165,13 @@ class PositionServo(Effect):
 
     @staticmethod
     def prepare(p):
-        """How far the followed goal moves and its filter forgets in a step."""
+        """Change of the followed goal in a step, and decay of its filter."""
         p.position_servo_stride = p.position_servo_goal_speed * p.timestep
         p.position_servo_forget = 1.0 - exp(-p.timestep / p.position_servo_goal_filter)
 
     @staticmethod
     def reset(s, p):
-        """The goal followed so far is the first one commanded, and it rests."""
+        """The followed goal starts at rest at the first commanded one."""
         s.position_servo_goal, s.position_servo_goal_rate = s.position_target, 0.0
 
     @staticmethod
@@ -188,10 +188,10 @@ class PositionServo(Effect):
 
 @register
 class MinimumDuty(Effect):
-    """Firmware or driver that raises small duties, so that the motor starts in spite of its friction.
+    """Firmware or driver that raises small duties, so that the motor overcomes its friction.
 
-    It acts behind the PWM register: the duty that the servo reports is the one before. It has no meaning for a servo
-    that regulates current.
+    It acts after the PWM register, so the servo reports the duty before it. It does not apply to servos that regulate
+    current.
     """
 
     name = "minimum_duty"

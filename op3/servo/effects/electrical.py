@@ -1,4 +1,4 @@
-"""What the motor's circuit does beyond the model: its constants, its supply and its current loop."""
+"""Errors of the motor's circuit: constants, supply and current loop."""
 
 from collections.abc import Mapping
 from math import exp, inf
@@ -61,13 +61,13 @@ class TerminalResistance(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Tell the motor how the windings' temperature changes its resistance."""
+        """Set the change of the motor's resistance with temperature."""
         s.resistance_factor = 1.0 + p.resistance_temperature_coefficient * (s.temperature - REFERENCE_TEMPERATURE)
 
 
 @register
 class TorqueConstantTemperature(Effect):
-    """Magnets weaken with temperature; the measured one of each servo, 25 C where none is measured."""
+    """Magnets weaken with the measured temperature of each servo, or at 25 C without a measurement."""
 
     name = "torque_constant_temperature"
     stage = Stage.DRIVER
@@ -83,7 +83,7 @@ class TorqueConstantTemperature(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Tell the motor how much of its torque constant is left."""
+        """Set the change of the motor's torque constant."""
         s.torque_constant_factor = 1.0 - p.magnet_temperature_coefficient * (s.temperature - REFERENCE_TEMPERATURE)
 
 
@@ -92,11 +92,11 @@ class VoltageSag(Effect):
     """The supply's voltage falls with the current of all servos, through battery and harness.
 
     Capacitors on the bus let it follow with a short time constant, which also keeps a bus stable on which all motors
-    saturate. Where a log has the measured bus voltage, that is replayed and already holds the sag in front of it.
+    saturate. If a log has the measured bus voltage, that is replayed, which already includes the sag before it.
 
     Attributes:
-        time_constant: with which the voltage follows the current [s].
-        least_voltage: the bus falls no further [V].
+        time_constant: time constant with which the voltage follows the current [s].
+        least_voltage: lowest voltage of the bus [V].
     """
 
     name = "voltage_sag"
@@ -121,7 +121,7 @@ class VoltageSag(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The bus has settled at the first currents."""
+        """The bus starts settled at the first currents."""
         s.voltage_sag_drawn = s.drawn
 
     @staticmethod
@@ -135,11 +135,11 @@ class VoltageSag(Effect):
 class CurrentLag(Effect):
     """The current follows its command as a first-order lag, integrated exactly.
 
-    What acts in a step is the mean over the step, so that time constants below the step count in full.
+    A step uses the mean over the step, so that time constants shorter than a step are correct too.
 
     Attributes:
-        signal: what lags: the current of a current-driven servo, or the voltage of one driven by voltage, which is
-            the lag of its windings' inductance.
+        signal: the lagging signal: the current of a current-driven servo, or the voltage of a voltage-driven servo,
+            whose windings have inductance.
     """
 
     name = "current_lag"
@@ -174,12 +174,12 @@ class CurrentLag(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first command was held for long; a voltage starts from zero."""
+        """The first command has been held for long; a voltage starts from zero."""
         s.current_lag_end = s.current_lag_wanted = s.target_current if p.current_lag_signal == CURRENT else 0.0
 
     @staticmethod
     def apply(s, p):
-        """Let the command through as far as it has come, also where a new one arrives within the step."""
+        """Output the lagged command, also if a new one arrives within the step."""
         if p.current_lag_signal == CURRENT:
             before, asked = s.current_lag_end, s.target_current
             now = asked + s.ahead
@@ -200,9 +200,10 @@ class CurrentLag(Effect):
 
 @register
 class CurrentOffset(Effect):
-    """The servo's current sensor reads too much by a constant, which a current loop regulates away.
+    """The servo's current sensor has a constant offset, which a current loop compensates.
 
-    So the motor carries that much less than commanded: a constant torque. A servo driven by voltage only reports it.
+    The motor's current is lower than commanded by the offset, which acts as a constant torque. A voltage-driven servo
+    only reports the offset.
     """
 
     name = "current_offset"
@@ -219,7 +220,7 @@ class CurrentOffset(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Take from the current what the sensor reads too much; a servo without torque regulates nothing."""
+        """Subtract the offset from the current; a servo without torque does not regulate its current."""
         s.target_current -= p.current_offset * s.torque_enable
 
     @staticmethod

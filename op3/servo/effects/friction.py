@@ -1,4 +1,4 @@
-"""Friction of the joint: the three terms of paper eq. (4), and that of the bearing, each an effect of its own.
+"""Friction of the joint: the three terms of paper eq. (4) and bearing friction, each a separate effect.
 
 Each adds to one bound, ``tau_fric = fc + s (fs - fc) + kv |w|``, which MuJoCo receives as ``dof_frictionloss``
 in every step: a friction that can hold the joint still and always opposes its motion.
@@ -77,7 +77,7 @@ class Stribeck(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound near rest, and tell other friction how much of it is left at this speed."""
+        """Raise the bound near rest, and set the fade for other friction at this speed."""
         s.fade = stribeck_fade(s.speed, p.stribeck_velocity, p.stribeck_fade)
         s.friction_bound += p.static_friction_excess * s.fade
 
@@ -128,7 +128,7 @@ class BearingFriction(Effect):
 class AsymmetricFriction(Effect):
     """Coulomb friction that is higher in one direction of motion, and as much lower in the other.
 
-    The mean of both is that of the other effects; none is left where half the difference is larger than they are. At
+    The mean of both is the friction of the other effects; the bound is zero where half the difference exceeds it. At
     rest the direction is the one in which motor and load together push the joint.
 
     Attributes:

@@ -15,10 +15,10 @@ PASSIVE, POWER = 0, 2
 
 @register
 class DirectionalEfficiency(Effect):
-    """Directional transmission efficiency (DTE): a gear is harder to drive from its output.
+    """Directional transmission efficiency (DTE): a gear has larger losses when it is driven from its output.
 
     The passive form is the default: it loses the same torque as the printed rule while the joint moves, holds
-    the same range of loads at rest, and never adds energy. The form by power goes by the direction of motion.
+    the same range of loads at rest, and never adds energy. The form ``power`` depends on the direction of motion.
 
     Attributes:
         form: ``passive``, a friction bound by the torques, our own; ``power``, one by the direction of motion, as
@@ -53,7 +53,7 @@ class DirectionalEfficiency(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Lose torque, as friction or as a brake."""
+        """Apply the loss, as friction or as a brake."""
         motor, load = s.motor_torque, s.load_torque
         forward, backward = p.forward_efficiency, p.backward_efficiency
         if p.dte_form == PASSIVE:
@@ -73,7 +73,7 @@ class DirectionalEfficiency(Effect):
 
 @register
 class MixedLubrication(Effect):
-    """Teeth that slide slowly rub dry: what `dte` loses by friction is more near rest than at speed.
+    """Larger friction of slowly sliding teeth: the loss of `dte` is larger near rest than at speed.
 
     The coefficient of friction of a mesh falls from boundary to mixed lubrication as it speeds up. That the loss of
     `dte` fades so is our own: of the sources one tabulates efficiency over speed, the other fades the sum of both

@@ -29,7 +29,7 @@ class FootFriction(Effect):
 
 @register
 class FootCompliance(Effect):
-    """Softer contact between feet and ground: the time in which a contact gives way and returns."""
+    """Softer contact between feet and ground, as the time constant of the contact."""
 
     name = "foot_compliance"
     stage = Stage.GROUND
@@ -47,8 +47,8 @@ class FootCompliance(Effect):
 class GroundTilt(Effect):
     """The floor, or the stand, is tilted: R_floor = Ry(pitch) Rx(roll).
 
-    The scene stays as it is and gravity turns, so the robot starts flush with the floor; its IMU measures against
-    gravity and sees the tilt.
+    The scene is unchanged and gravity is rotated, so the robot starts flush with the floor; its IMU measures relative
+    to gravity and shows the tilt.
     """
 
     name = "ground_tilt"

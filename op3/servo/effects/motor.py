@@ -56,7 +56,7 @@ class Motor(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first current was wanted before."""
+        """The first target current has acted before the start."""
         s.motor_wanted, s.motor_bus_voltage = s.target_current, s.bus_voltage
 
     @staticmethod
@@ -82,7 +82,7 @@ class Motor(Effect):
 
     @staticmethod
     def report(s, p):
-        """Read the current of now: what is wanted at the end of the step, as far as the supply allows it."""
+        """Report the current at the end of the step, limited by the supply."""
         if p.motor_drive == VOLTAGE:
             return
         constant = p.motor_constant * s.torque_constant_factor

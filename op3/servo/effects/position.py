@@ -37,7 +37,7 @@ class Cogging(Effect):
 
 @register
 class CableSpring(Effect):
-    """A cable across the joint pulls like a spring, beside the servo: the gear does not carry its torque."""
+    """A cable across the joint acts like a spring in parallel with the servo: the gear does not carry its torque."""
 
     name = "cable_spring"
     stage = Stage.PARALLEL
@@ -56,7 +56,7 @@ class CableSpring(Effect):
 
     @staticmethod
     def begin(s, p):
-        """Take the cable's part out of what the link asks of the gear."""
+        """Subtract the cable's torque from the load of the gear."""
         s.cable_spring_pull = p.cable_stiffness * (p.cable_rest_angle - s.link_position)
         s.load_torque += s.cable_spring_pull
 

@@ -1,4 +1,4 @@
-"""How friction takes hold: through bristles that bend before they slip."""
+"""Presliding friction: bristles that bend before they slip."""
 
 from math import exp, expm1, sqrt
 
@@ -14,13 +14,13 @@ FULLY = 1e9
 
 @part
 def deflection(s):
-    """How far bristles are bent at the beginning of a step, which the velocity has just become known for [rad]."""
+    """Deflection of the bristles at the beginning of a step [rad], from the new velocity."""
     return s.lugre_bent * s.lugre_left + s.lugre_gain * s.velocity
 
 
 @register
 class LuGre(Effect):
-    """Presliding: all friction of the joint acts through an elastic bristle (LuGre) instead of gripping rigidly.
+    """Presliding: all friction of the joint acts through an elastic bristle (LuGre) instead of rigidly.
 
     The bound F that the other frictions make up becomes the level at which the bristle slips. Its deflection z is
     integrated exactly over a step for the speed that the last step's acceleration foretells at its end, and linearly in
@@ -63,14 +63,14 @@ class LuGre(Effect):
 
     @staticmethod
     def reset(s, p):
-        """Bristles of a joint that moves are fully bent, those of one at rest are straight."""
+        """Bristles of a moving joint start fully bent, those of a joint at rest straight."""
         # the level of friction bounds it in the first step
         s.lugre_bent, s.lugre_left, s.lugre_gain = FULLY * np.sign(s.velocity), 1.0, 0.0
         s.lugre_velocity = s.velocity
 
     @staticmethod
     def apply(s, p):
-        """Put the bristle's torque in place of the bound."""
+        """Replace the bound by the bristle's torque."""
         if p.bristle_compliance <= 0.0:
             return
         limit = max(s.friction_bound * p.bristle_compliance, 1e-12)

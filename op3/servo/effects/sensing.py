@@ -1,4 +1,4 @@
-"""What the servo's sensors say that is not so."""
+"""Errors of the servo's sensors."""
 
 from math import cos, exp, pi, sin, sqrt
 from typing import Literal
@@ -33,11 +33,11 @@ class EncoderOffset(Effect):
 
 @register
 class EncoderNonlinearity(Effect):
-    """The encoder's reading bends with the angle: a magnet that sits off its axis.
+    """The encoder's error depends on the angle, as with a magnet off its axis.
 
     Attributes:
-        velocity: ``bent``: the servo computes its velocity from this reading. ``apart``: it has it from the motor's own
-            sensor, or corrects it, and the angle alone bends.
+        velocity: ``bent``: the servo computes its velocity from this reading. ``apart``: the velocity comes from the
+            motor's own sensor or is corrected, and only the angle has the error.
     """
 
     name = "encoder_nonlinearity"
@@ -65,7 +65,7 @@ class EncoderNonlinearity(Effect):
 
     @staticmethod
     def sense(s, p):
-        """Bend the reading, and with it the velocity if the servo computes it from that."""
+        """Add the error to the reading, and to the velocity if the servo computes it from the reading."""
         angle = s.position + p.encoder_nonlinearity_phase
         s.measured_position += p.encoder_nonlinearity * sin(angle)
         if p.encoder_nonlinearity_velocity == BENT:
@@ -76,8 +76,8 @@ class EncoderNonlinearity(Effect):
 class VelocityFilter(Effect):
     """The servo filters the velocity that it reports; exact for a velocity that changes linearly.
 
-    Whatever an estimate is made of, it is late by a mean time Tw, and the variance of its impulse response is
-    Tw^2 (1 - 2 a). One lag has the shape a = 0, two alike in a row 1/4, a difference of angles 1/3, a mere delay 1/2.
+    Any velocity estimate has a mean delay Tw, and the variance of its impulse response is Tw^2 (1 - 2 a). One lag has
+    the shape a = 0, two equal lags in series 1/4, a difference of angles 1/3, a pure delay 1/2.
     """
 
     name = "velocity_filter"
@@ -122,14 +122,14 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The velocity was held for long."""
+        """The velocity has been constant for long."""
         s.velocity_filter_filtered = s.velocity_filter_velocity = s.measured_velocity
         s.velocity_filter_slope = 0.0
         s.velocity_filter_knows = 1.0
 
     @staticmethod
     def sense(s, p):
-        """Filter what has happened since the memory was last renewed, a step ago."""
+        """Update the filter for the last step."""
         now = s.measured_velocity
         s.velocity_filter_now = s.velocity_filter_said = now
         if s.velocity_filter_knows == 0.0:
@@ -144,6 +144,6 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def finish(s, p):
-        """Keep what was said, whatever a log made of it for the controller."""
+        """Store the filtered velocity for the next step."""
         s.velocity_filter_filtered, s.velocity_filter_velocity = s.velocity_filter_said, s.velocity_filter_now
         s.velocity_filter_slope = s.velocity_filter_said_slope

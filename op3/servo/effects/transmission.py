@@ -1,6 +1,6 @@
-"""Between gear and link: play and elasticity, with the rotor as a body of its own.
+"""Backlash and elasticity between gear and link, with the rotor as a separate body.
 
-Where one of the two effects is on, the rotor's inertia leaves the link's degree of freedom, and motor, gear and
+If one of the two effects is on, the rotor's inertia leaves the link's degree of freedom, and motor, gear and
 friction act on the rotor. The law integrates it; the link feels the torque in the contact, which is solved together
 with the link's velocity at the end of the step: the pair is stable at any stiffness, and only the contact damps it. The
 encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last wheels and the horn, turns
@@ -60,7 +60,7 @@ def rotor_velocity(s):
 
 @register
 class Backlash(Effect):
-    """Play between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
+    """Backlash between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
     Attributes:
         damping_ratio: of the rotor on the stiffness of the contact, against a link at rest; half of the loss factor.
@@ -113,7 +113,7 @@ class Backlash(Effect):
 
     @staticmethod
     def begin(s, p):
-        """Move the rotor to the end of the last step, and let motor and friction see it instead of the link."""
+        """Move the rotor to the end of the last step; motor and friction then act on it instead of the link."""
         if between(p):
             s.rotor_velocity = rotor_velocity(s)
             s.rotor_angle += p.timestep * s.rotor_velocity
@@ -121,7 +121,7 @@ class Backlash(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Solve the rotor's step with the link's, and hand the contact's torque to the link."""
+        """Solve the steps of rotor and link together, and pass the contact's torque to the link."""
         if not between(p):
             return
         half_gap, stiffness, friction = p.backlash_half_gap, p.backlash_stiffness, p.backlash_friction
@@ -165,7 +165,7 @@ class Backlash(Effect):
 
     @staticmethod
     def balance(s, p, torque, rests):
-        """Put the rotor against the flank that carries what is asked for, bent by it, and let it move with the link.
+        """Place the rotor on the flank that carries the torque, deflected by it, and let it move with the link.
 
         On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load
         the rotor stays where it is.

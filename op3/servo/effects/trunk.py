@@ -1,4 +1,4 @@
-"""What the trunk's IMU says that is not so."""
+"""Errors of the trunk's IMU."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ from op3.servo.signals import Trunk
 
 @register
 class ImuMount(Effect):
-    """The IMU is mounted turned: R_imu = Rz(yaw) Ry(pitch) Rx(roll) in the trunk."""
+    """The IMU is mounted with a rotation: R_imu = Rz(yaw) Ry(pitch) Rx(roll) in the trunk."""
 
     name = "imu_mount"
     free_base = True
@@ -37,7 +37,7 @@ class ImuMount(Effect):
 
 @register
 class GyroBias(Effect):
-    """The gyroscope reads a rate at rest."""
+    """The gyroscope has a constant bias."""
 
     name = "gyro_bias"
     free_base = True

@@ -1,4 +1,4 @@
-"""How a servo's parameters differ from side to side and change with time."""
+"""Differences of servo parameters between sides, and changes with time."""
 
 from collections.abc import Mapping
 from math import expm1
@@ -14,7 +14,7 @@ FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
 
 @register
 class FrictionDrift(Effect):
-    """Friction without load falls while the grease warms up, and comes to rest at a share of what it was."""
+    """Friction without load decreases while the grease warms up, towards a share of its initial value."""
 
     name = "friction_drift"
     stage = Stage.FRICTION
@@ -40,7 +40,7 @@ class FrictionDrift(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Lower the bound by what has been lost so far."""
+        """Lower the bound by the decrease so far."""
         gone = p.friction_drift * -expm1(-s.time / p.friction_drift_time)
         s.friction_bound -= gone * p.coulomb_friction
         s.friction_bound -= gone * p.viscous_friction * s.speed
