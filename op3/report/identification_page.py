@@ -89,10 +89,10 @@ def abstained(fit: Fit) -> str:
         return ""
     sorted_names = verdicts(fit.identifiability)
     bound, unidentifiable = sorted_names["at its bound"], sorted_names["not identifiable"]
-    said = f" At the bound of its range: {', '.join(map(words, bound))}." if bound else ""
+    said = f" At the bound of the searched range: {', '.join(map(words, bound))}." if bound else ""
     if unidentifiable:
         said += f" Not identifiable from these logs: {', '.join(map(words, unidentifiable))}."
-        said += f" Next: record the motions that `op3 design 'wanted=[{','.join(unidentifiable)}]'` plans."
+        said += f" Next: plan recordings with `op3 design 'wanted=[{','.join(unidentifiable)}]'`."
     return said
 
 

@@ -22,6 +22,9 @@ SHOWN_RUNS = 6
 
 JOINT_QUANTITIES: tuple[Key, ...] = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 
+MOVES, SWAYS = 0.01, 0.005
+"""Joints, and trunks, whose angles change by less have no panel [rad]."""
+
 # what is drawn in degrees, and how little a y axis may show, in the unit drawn
 _DEGREES: set[Key] = {("joint", "position"), ("command", "position"), ("imu", "orientation")}
 _LEAST_SPAN: dict[Key, float] = {
@@ -39,7 +42,7 @@ def traces_figure(
     joints: Sequence[str] = (),
     quantities: Sequence[str | tuple[str, str]] = JOINT_QUANTITIES,
 ) -> go.Figure:
-    """Measured and simulated traces: a row per joint, left beside right partner, and a column per quantity.
+    """Measured and simulated traces: a row per joint that moves, right below left partner, and a column per quantity.
 
     Angles are drawn in degrees, with the command dotted. A quantity that the log does not have has no column; one
     that a prediction does not have has no trace of it.
@@ -47,7 +50,7 @@ def traces_figure(
     Args:
         log: what was measured, without an episode axis.
         predictions: by label; they may end before the log.
-        joints: joints to show; all of the log where empty.
+        joints: joints to show; all of the log if empty.
         quantities: channels of joints.
 
     Raises:
@@ -58,19 +61,26 @@ def traces_figure(
         asked = ", ".join(key_name(normal_key(q)) for q in quantities)
         there = ", ".join(map(key_name, log.channels))
         raise ValueError(f"the log has no {asked} to draw; it has {there}")
-    grid = []
-    for joint in _paired(joints or log.joints):
+    for joint in joints:
         if joint not in log.joints:
             raise ValueError(f"the log has no joint {joint!r}; its joints are {', '.join(log.joints)}")
+    span = np.maximum(*(np.ptp(log.array(key), axis=0) for key in ("joint/position", "command/position")))
+    names = joints or log.joints
+    moving = [joint for joint in names if span[log.joints.index(joint)] >= MOVES]
+    grid = []
+    for joint in _paired(moving or names):
         column = log.joints.index(joint)
         grid.append([_panel(log, predictions, key, column, "" if i else words(joint)) for i, key in enumerate(keys)])
     return panels_figure(grid)
 
 
 def body_figure(log: Rollout, predictions: Mapping[str, Channels]) -> go.Figure | None:
-    """Roll, pitch and body rates; None for a log without them, such as one of the servo bench."""
+    """Roll, pitch and body rates; None for a log without them, or whose trunk does not move."""
     rates = ("roll rate x", "pitch rate y", "yaw rate z")
     rows: dict[Key, Sequence[str]] = {("imu", "orientation"): ("roll", "pitch"), ("imu", "angular_velocity"): rates}
+    angles = ("imu", "orientation")
+    if angles in log and np.ptp(log.array(angles)[:, :2], axis=0).max() < SWAYS:
+        return None
     grid = [
         [_panel(log, predictions, key, i, "", name) for i, name in enumerate(names)]
         for key, names in rows.items()

@@ -64,7 +64,7 @@ def test_an_identification_is_compared_told_and_marked(tmp_path, bench):
     what = ("mean position error is 11 mrad", "22 mrad") if bench else ("loss is 0.3", "0.6")
     text = read(tmp_path)
     assert f"With DTE the {what[0]}, without DTE {what[1]}; on held-out logs " in text
-    assert "At the bound of its range: backward efficiency." in text
+    assert "At the bound of the searched range: backward efficiency." in text
     assert "Nobody knows the sum." in text
     assert ("Error of every run" in text) == bench
     assert ("Held out: " in text) != bench
