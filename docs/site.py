@@ -1,5 +1,5 @@
-"""What the site has beside docs/: README.md, CHANGELOG.md, CONTRIBUTING.md, the catalogue of effects as its classes
-document it, and formulae as MathML; a hook of MkDocs (``make docs``)."""
+"""Pages of the site from outside docs/ (README.md, CHANGELOG.md, CONTRIBUTING.md), the catalogue of effects from its
+classes, and formulae as MathML; a hook of MkDocs (``make docs``)."""
 
 import dataclasses
 import html
@@ -24,10 +24,10 @@ INTRODUCTION = """\
 Generated from the classes in `op3/servo/effects/`.
 
 A robot model is a list of these effects with values for their parameters (see [servo_model.md](servo_model.md)).
-Effects run in the order of their stages. *Range* is what identification searches by default, *start* the
-value of a model that names none, and at *neutral* the effect changes nothing; a dash says that there is no such value.
-A parameter may differ from joint to joint unless it belongs to the whole robot. *Options* are constants of an effect,
-chosen in `model.yaml` and never searched.
+Effects run in the order of their stages. *Range* is the default search range of identification, *start* the value if a
+model does not set the parameter. At *neutral* the effect has no influence; a dash means that there is no such value.
+A parameter may differ between joints unless it belongs to the whole robot. *Options* are constants of an effect,
+set in `model.yaml` and never searched.
 """
 
 
@@ -55,9 +55,9 @@ def section(effect: type[Effect]) -> str:
     if effect.edits:
         facts.append(f"- changes in the MuJoCo model: {', '.join(dict.fromkeys(f'`{e.field}`' for e in effect.edits))}")
     if effect.fingerprint:
-        facts.append(f"- who may have it: {', '.join(effect.scopes)}")
-        facts.append(f"- shows: {effect.fingerprint}")
-        facts.append(f"- mistaken for: {', '.join(f'[{name}](#{name})' for name in effect.confounders)}")
+        facts.append(f"- scopes: {', '.join(effect.scopes)}")
+        facts.append(f"- fingerprint: {effect.fingerprint}")
+        facts.append(f"- confounders: {', '.join(f'[{name}](#{name})' for name in effect.confounders)}")
         facts.append(f"- distinguished by: {effect.separating_experiment}")
     summary = inspect.cleandoc(effect.__doc__ or "").split("\n\n")[0]
     parts = [f"## {effect.name}", "", " ".join(summary.split()), "", *facts, ""]

@@ -256,7 +256,7 @@ def main(cfg: DictConfig) -> Evaluated:
     if cfg.logs:
         for number, log in enumerate(logs):
             log.save(folder / "logs" / f"{number:03d}")
-        files["logs/000/metadata.yaml"] = f"{len(logs)} episodes as rollouts, in logs/"
+        files["logs/000/metadata.yaml"] = f"logs of {len(logs)} episodes, in logs/"
     if cfg.video:
         steps = round(logs[0].metadata.episode_duration / env.policy_period)  # type: ignore[operator]
         states = np.stack(watched.states[:steps:FRAME_EVERY])

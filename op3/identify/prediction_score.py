@@ -16,7 +16,7 @@ from op3.servo import Estimate, RobotModel
 FEWEST_LOGS = 5
 """Fewer logs than this are each cut into blocks, and the bootstrap draws blocks instead of logs."""
 
-STRETCHES = 10
+BLOCKS = 10
 """Blocks of equal length per log."""
 
 
@@ -47,7 +47,7 @@ class PredictionScore:
         channels: root mean square error by channel, in the channel's unit.
         joints: the same by channel and joint or axis.
         trajectories: position error by motion [mrad].
-        clusters: what was drawn by the bootstrap: ``logs`` or ``stretches``.
+        clusters: what was drawn by the bootstrap: ``logs`` or ``blocks``.
         predictions: one per log.
     """
 
@@ -73,7 +73,7 @@ def predict_logs(
     """Replay logs with a model, open loop, and measure what is left.
 
     Where there are at least `FEWEST_LOGS` logs, whole logs are drawn with replacement: rows of one log are not
-    independent. Where there are fewer, each is cut into `STRETCHES` that are drawn; an interval then says nothing
+    independent. Where there are fewer, each is cut into `BLOCKS` that are drawn; an interval then says nothing
     about other motions.
 
     Args:
@@ -99,8 +99,8 @@ def score_predictions(
 ) -> PredictionScore:
     """Measure what predictions of one candidate leave; see `predict_logs`."""
     loss = TrajectoryLoss(tuple(joints))
-    stretches = 1 if len(predictions) >= FEWEST_LOGS else STRETCHES
-    parts = [_cut(loss, prediction, stretches) for prediction in predictions]
+    blocks = 1 if len(predictions) >= FEWEST_LOGS else BLOCKS
+    parts = [_cut(loss, prediction, blocks) for prediction in predictions]
     good = [part for part in parts if part is not None]
     scores = []
     for prediction, part in zip(predictions, parts, strict=True):
@@ -115,7 +115,7 @@ def score_predictions(
         channels={key: summary.root(key) for key in summary.names},
         joints={key: {name: summary.root(key, name) for name in names} for key, names in summary.names.items()},
         trajectories=summary.trajectories(),
-        clusters="logs" if stretches == 1 else "stretches",
+        clusters="logs" if blocks == 1 else "blocks",
         predictions=predictions,
         simulated_seconds=simulated_seconds,
     )
@@ -138,14 +138,14 @@ class _Cut:
     names: Mapping[str, list[str]]
 
 
-def _cut(loss: TrajectoryLoss, prediction: Prediction, stretches: int) -> _Cut | None:
+def _cut(loss: TrajectoryLoss, prediction: Prediction, blocks: int) -> _Cut | None:
     if bool(prediction.failed.any()):
         return None
     log = prediction.log
     differences = {"/".join(key): d[0].numpy() for key, d in loss.differences(prediction).items()}
     rows = len(next(iter(differences.values())))
-    number = np.minimum(np.arange(rows) * stretches // rows, stretches - 1)
-    members = [number == block for block in range(stretches) if (number == block).any()]
+    number = np.minimum(np.arange(rows) * blocks // rows, blocks - 1)
+    members = [number == block for block in range(blocks) if (number == block).any()]
     squares = {key: np.array([np.square(d[m]).mean(0) for m in members]) for key, d in differences.items()}
     columns = loss.columns(log)
     axes = {"imu/orientation": ["roll", "pitch"], "imu/angular_velocity": ["x", "y", "z"]}

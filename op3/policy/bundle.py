@@ -144,7 +144,7 @@ class PolicyBundle:
 def _checked(manifest: Manifest, weights: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     shapes = weight_shapes(manifest)
     if not isinstance(weights, Mapping):
-        raise ValueError(f"the weights are a {type(weights).__name__} and not tensors by name")
+        raise ValueError(f"the weights are a {type(weights).__name__} and not a mapping of tensors")
     if missing := [name for name in shapes if name not in weights]:
         raise ValueError(f"tensor {missing[0]} is missing")
     if unknown := [name for name in weights if name not in shapes]:

@@ -260,4 +260,4 @@ def _returns(returns: Mapping[str, Any]) -> TableRows:
         if value := returns.get(key):
             off = returns.get(f"error_{key}")
             rows.append([label, value["mean"], *(value["interval"] or (None, None)), 100 * value["fallen"], off])
-    return ["model", "return", "from", "to", "falls [%]", "off the robot by"], rows
+    return ["model", "return", "from", "to", "falls [%]", "difference from the robot"], rows

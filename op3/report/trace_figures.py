@@ -170,7 +170,7 @@ def _panel(
             raise ValueError(f"{key_name(key)} of {label!r} has the shape {shape}, the log has {there}")
         lines.append((label, time[: len(values)], _drawn(key, values[:, column])))
     unit = "deg" if key in _DEGREES else CHANNELS[key].unit
-    what = what or key_name(key).split("/")[-1].replace("_", " ")
+    what = what or words(key_name(key).split("/")[-1])
     return Panel(f"{what} [{unit}]" if unit else what, lines, name, _LEAST_SPAN.get(key, 0.0), titled)
 
 

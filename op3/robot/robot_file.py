@@ -285,7 +285,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
     known = {*content.joints, *content.unpowered, *coupled}
     for name in hinges:
         if name not in known and model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
-            problem = f"leave out {name!r}, a ball, which no servo drives; take it out of the model, which holds it"
+            problem = f"leave out {name!r}, a ball joint, which no servo drives; remove it from the model"
             raise file.fault(("joints",), problem)
         if name not in known:
             problem = (

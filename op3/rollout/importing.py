@@ -41,7 +41,7 @@ Columns = dict[str, np.ndarray]
 
 def _wrong(name: str, wanted: str, given: Any) -> LogError:
     option = name.partition(".")[0]
-    wanted = {"unwrap": "true, or some of the joints", "split": "true or false"}.get(option, "a mapping of names")
+    wanted = {"unwrap": "true, or a list of joints", "split": "true or false"}.get(option, "a mapping of names")
     wanted = "names with numbers" if option in ("scale", "shift") else wanted
     return LogError(f"{shown(given)} is not what belongs there", f"write {wanted}", column=f"field {option}")
 

@@ -43,9 +43,9 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError) as error:
         reason = " ".join(str(error).split())[:80]
-        raise ValueError(f"{path}: truncated or no checkpoint ({reason}); begin anew in another folder") from None
+        raise ValueError(f"{path}: truncated, or not a checkpoint ({reason}); start again in another folder") from None
     if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise ValueError(f"{path}: not a checkpoint of this version ({FORMAT}); begin anew in another folder")
+        raise ValueError(f"{path}: not a checkpoint of this version ({FORMAT}); start again in another folder")
     return state
 
 

@@ -80,7 +80,7 @@ def needed(module: str, extra: str, path: Path) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        problem = f"it is read with the package {module.partition('.')[0]}, which is missing"
+        problem = f"reading it needs the package {module.partition('.')[0]}, which is missing"
         raise LogError(problem, f"install it with `pip install 'op3[{extra}]'`", source=path) from None
 
 

@@ -49,7 +49,7 @@ class LuGre(Effect):
     secants = ({"bristle_compliance": 0.005}, {"bristle_compliance": 0.02})
     fingerprint = "a smooth, nearly elastic start of motion over 1 to 3 mrad after each reversal"
     confounders = ("stribeck", "compliance", "backlash")
-    separating_experiment = "torque steps below break-away: elastic give with hysteresis"
+    separating_experiment = "torque steps below break-away: elastic deflection with hysteresis"
 
     damping_ratio: float = 0.2
 
