@@ -1,4 +1,4 @@
-"""What a user does with a robot on a port: run a policy or a motion, look, set up, calibrate."""
+"""Operations on a robot at a port: run a policy or a motion, read only, set up, calibrate."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Connection:
-    """A robot on a port, the person at it, and what a log's metadata say of them.
+    """A robot on a port, its operator, and the metadata of its logs.
 
     Attributes:
         kind: `real` or `emulated`.
-        emulated: the robot in this process, if it is one; `seed` is its.
+        emulated: the emulated robot in this process, if there is one; `seed` is its seed.
     """
 
     bus: Bus
@@ -84,13 +84,13 @@ def connect(
     Args:
         port: a device such as /dev/ttyUSB0, a pty, or `emulated`.
         robot: a name in `assets/robots`, or the path of its file.
-        mount: what holds the robot: `floor` or `stand`.
-        confirm: whether a person is asked before torque; an emulated robot holds itself.
+        mount: `floor` or `stand`.
+        confirm: whether to ask before torque is switched on; never for an emulated robot.
         calibration: file with the joints' offsets; None for none.
         emulation: options of `op3.deploy.emulated.emulate`, for `port="emulated"`.
 
     Raises:
-        ValueError: if an argument is impossible.
+        ValueError: if an argument is invalid.
         Unplugged: if the port cannot be opened.
     """
     if mount not in ("floor", "stand"):
@@ -114,14 +114,14 @@ def connect(
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run does besides the part that it is made for.
+    """Settings of a run around its main phase.
 
     Attributes:
-        dry: whether torque stays off; the loop runs and its currents go nowhere.
-        current_scale: share of the peak currents that is allowed.
-        end_pose: pose in which the robot is let go; None for its pose "rest", or home where it has none.
-        folder: where logs are written; None for none.
-        panel: whether to show the live view, where there is a terminal.
+        dry: whether torque stays off; the loop runs and its currents are not sent.
+        current_scale: allowed share of the peak currents.
+        end_pose: pose in which torque is switched off; None: its pose "rest", or home if it has none.
+        folder: folder of the logs; None: no logs.
+        panel: whether to show the live view in a terminal.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -147,10 +147,10 @@ def run(
     """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
 
     Args:
-        start: pose [joint] in rad in which it begins; by default home.
-        p_gain: P gains while getting there [A/rad].
-        d_gain: D gains while getting there [A s/rad].
-        report: where lines for the operator go; None for the terminal, above the live view.
+        start: start pose [joint] in rad; by default home.
+        p_gain: P gains on the way to it [A/rad].
+        d_gain: D gains on the way to it [A s/rad].
+        report: receives lines for the operator; None: the terminal, above the live view.
     """
     plan, robot = plan or Plan(), connection.bus.robot
     first = robot.home if start is None else np.asarray(start, dtype=float)
@@ -185,7 +185,7 @@ def run(
 def read_only(
     connection: Connection, duration: float, plan: Plan | None = None, *, report: Report | None = None
 ) -> SessionOutcome:
-    """Show and record what the robot says; nothing at all is written to it."""
+    """Show and record the robot's sensors, without writing to it."""
     plan, bus = plan or Plan(), connection.bus
     panel = StatusPanel(bus.robot, plan.panel)
     say = report or panel.say
@@ -196,7 +196,7 @@ def read_only(
 
 
 def _logs(connection: Connection, plan: Plan, recording: str | None, **metadata: Any) -> Logs | None:
-    """The logs that are asked for, with what is known of the run."""
+    """The logs to write, with the metadata of the run."""
     if plan.folder is None:
         return None
     bus, robot = connection.bus, connection.bus.robot
@@ -223,7 +223,7 @@ SETTINGS = {"return_delay_time": 0, **UNTOUCHED}
 
 
 def setup(connection: Connection, *, report: Report = print) -> ExitCode:
-    """Write the settings that the start checks ask for; torque is off meanwhile."""
+    """Write the settings that the start checks require, with torque off."""
     text = ", ".join(f"{name} = {value}" for name, value in SETTINGS.items())
     if not connection.operator.confirm(
         f"Torque will be switched off, and {text} is written to the EEPROM of all servos."

@@ -1,6 +1,6 @@
-"""From targets to currents that a servo may carry: PD, soft joint limits, peak and continuous current.
+"""From targets to allowed servo currents: PD, soft joint limits, peak and continuous current.
 
-A servo in current mode enforces no position limit, so all of this is the software's job. The peak limits are
+A servo in current mode enforces no position limit, so the software must. The peak limits are
 written into the servos' own current limit as well.
 """
 
@@ -27,26 +27,26 @@ HIGHEST = DYNAMIXEL_X["goal_current"].high or 0
 
 @settings("limits")
 class Limits:
-    """What the robot may do.
+    """Limits of a run.
 
     Attributes:
-        peak_current: largest goal current of any joint [A]; None: that of each joint as the robot's file says.
+        peak_current: largest goal current of any joint [A]; None: that of each joint in the robot's file.
         continuous_current: continuous current rating of a servo [A]; None: that in the file of its make.
-        p_gain: largest P gain that a policy may ask for [A/rad].
+        p_gain: largest P gain that a policy may command [A/rad].
         thermal_time: time constant with which the mean square of the current is formed [s].
         temperature: a servo at or above this ends the run [C].
         voltage: a supply at or below this ends the run [V].
         start_voltage: a supply below this is not switched on [V].
         fall_angle_deg: roll or pitch beyond this [deg] ...
         fall_time: ... for this long ends the run [s].
-        coast_ticks: how many ticks a servo or the IMU may stay silent before the joints are damped.
-        loss_time: how long one may stay silent before torque goes off [s].
-        imu_repeats: how many identical IMU blocks in a row mean that it is dead.
+        coast_ticks: number of ticks without an answer of a servo or the IMU before the joints are damped.
+        loss_time: time without an answer before torque is switched off [s].
+        imu_repeats: number of identical IMU blocks in a row after which it counts as frozen.
         homing_offset: largest homing offset that a servo may have [counts], for a robot that was calibrated with it.
         damp_gain: D gain of a damped joint [A s/rad].
-        damp_time: how long joints are damped before torque goes off [s].
-        overlap: depth to which parts of the robot may be in each other by the measured angles [m].
-        overlap_ahead: the same 16 ms later by the measured speeds, or by the commands, see `SelfCollision` [m].
+        damp_time: time for which joints are damped before torque is switched off [s].
+        overlap: allowed overlap of parts of the robot at the measured angles [m].
+        overlap_ahead: allowed overlap predicted for 16 ms later, or at the commanded angles, see `SelfCollision` [m].
     """
 
     peak_current: Positive | None = None
@@ -94,7 +94,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What the PD is asked for, each [joint]: targets [rad], P gains [A/rad] and D gains [A s/rad]."""
+    """Inputs of the PD, each [joint]: targets [rad], P gains [A/rad] and D gains [A s/rad]."""
 
     position: Array
     p_gain: Array
@@ -114,12 +114,12 @@ class Command:
         return Command(self.position.clip(*robot.limits.T), self.p_gain, self.d_gain)
 
     def damped(self, d_gain: float) -> Command:
-        """The same without stiffness: only damping."""
+        """The same with zero P gains: only damping."""
         return Command.of(self.position, 0.0, d_gain)
 
 
 def refuse(robot: Robot, name: str, values: Array, bad: NDArray[np.bool_]) -> None:
-    """End the run where a value [joint] is bad, and name it."""
+    """End the run if a value [joint] is invalid, and name it."""
     if bad.any():
         joint = int(np.flatnonzero(bad)[0])
         reason = f"{name} of {robot.joints[joint]} is {values[joint]}; refused"
@@ -127,11 +127,11 @@ def refuse(robot: Robot, name: str, values: Array, bad: NDArray[np.bool_]) -> No
 
 
 class CurrentLimiter:
-    """Turns commands into goal currents and keeps account of what the servos have carried.
+    """Converts commands to goal currents, and tracks the load of the servos.
 
     The mean square of each current is followed with `Limits.thermal_time`. As it approaches the square of the
-    continuous current, the limit sinks from peak to continuous, so that a joint that is overloaded gets weaker
-    instead of hotter.
+    continuous current, the limit decreases from peak to continuous, so that an overloaded joint gets weaker instead of
+    hotter.
     """
 
     def __init__(self, limits: Limits, robot: Robot, period: float, scale: float = 1.0):
@@ -144,12 +144,12 @@ class CurrentLimiter:
 
     @property
     def load(self) -> Array:
-        """[joint] mean square current over the continuous one's square; 1 is all that is allowed for ever."""
+        """[joint] mean square current over the continuous one's square; 1 is the continuous rating."""
         return self._mean_square / self._continuous**2
 
     @property
     def limit(self) -> Array:
-        """[joint] largest goal current now, in counts. It sinks linearly while the load goes from 0.9 to 1."""
+        """[joint] largest goal current now, in counts. It decreases linearly while the load goes from 0.9 to 1."""
         share = ((1 - self.load) / 0.1).clip(0, 1)
         return self._continuous + share * (self._peak - self._continuous)
 

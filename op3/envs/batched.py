@@ -28,23 +28,22 @@ from op3.tasks.whole_step import WholeStep
 
 
 class BatchedEnv(EnvBase):
-    """``num_envs`` robots at one task, each on a ground and with parameters of its own.
+    """``num_envs`` robots at one task, each with its own ground and parameters.
 
-    A step is 32 ms: four ticks of the PD and 32 steps of the physics. Robots that are reset do not disturb the others,
-    and the k-th episode of robot i depends on the seed, i and k alone.
+    A step is 32 ms: four ticks of the PD and 32 steps of the physics. Resets do not affect other robots, and the k-th
+    episode of robot i depends on the seed, i and k alone.
 
     Args:
         model: effects and parameter values of the robots.
-        parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, that replace the
-            model's for good.
-        gain_scale: factor on every P and D gain that is commanded, as of servos stronger or weaker than they are known.
-        timestep: of the physics [s]; None: that of the scene, 1 ms.
+        parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, which replace the
+            model's permanently.
+        gain_scale: factor on all commanded P and D gains, as for stronger or weaker servos.
+        timestep: time step of the physics [s]; None: that of the scene, 1 ms.
         num_threads: threads that step the physics; 0 for all processors.
-        device: of the terms, observations and rewards; the physics stays on the processor.
+        device: device of terms, observations and rewards; the physics stays on the CPU.
 
     Raises:
-        ValueError: if a term of the task cannot be, a parameter is unknown, or one that `parameters` gives is also
-            drawn.
+        ValueError: if a term of the task is invalid, a parameter is unknown, or one in `parameters` is also drawn.
         MemoryError: if there are too many robots.
     """
 
@@ -157,10 +156,10 @@ class BatchedEnv(EnvBase):
         return self._begin(seeds)
 
     def begin(self, episodes: Mapping[int, int]) -> TensorDict:
-        """Put some robots down for chosen episodes, in which all robots find the same beginning.
+        """Start chosen episodes in some robots; the same episode starts equally in all robots.
 
         Args:
-            episodes: number of the episode, by index of the robot; the others go on undisturbed.
+            episodes: number of the episode, by index of the robot; the others continue.
 
         Returns:
             The state of all robots, as `reset` gives it.
@@ -168,19 +167,19 @@ class BatchedEnv(EnvBase):
         return self._begin({row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
 
     def practise(self, timestep: float | None = None, **values: float) -> None:
-        """Change numbers of the task, as curricula do.
+        """Change parameters of the task, as curricula do.
 
         Args:
-            timestep: of the physics [s], from when all robots begin together the next time; None: as it is.
-            **values: by the path of the term, see `op3.tasks.mdp.Mdp.set`. What is drawn when an episode begins changes
-                for the episodes to come.
+            timestep: time step of the physics [s], from the next reset of all robots on; None: unchanged.
+        **values: values by path, see `op3.tasks.mdp.Mdp.set`. Values that are drawn when an episode begins change
+            for the following episodes.
         """
         self.timestep = self.timestep if timestep is None else timestep
         for path, value in values.items():
             self.mdp.set(path, value)
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
-        """Give robots other parameters from now on, as the constructor's `parameters`."""
+        """Set other robot parameters, like the constructor's `parameters`."""
         self._fixed = dict(values)
         joints = self.scene.joint_names
         drawn = {

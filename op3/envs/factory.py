@@ -30,14 +30,14 @@ def make_env(
     Args:
         task: a `Task`, or the name of one in ``conf/task``.
         model: a model, the path of a model.yaml, a name from `op3.sim.model_names`, or ``own``: that of the robot's
-            file, else one made of its servos.
-        num_envs: number of robots; None: 64, and one with the composer backend, which has no more.
+            file, else one built from its servo makes.
+        num_envs: number of robots; None: 64, or one with the composer backend, which supports only one.
         backend: ``batched`` steps all robots together; ``composer`` is the same task in dm_control composer.
-        randomisation: "ranges" (Table I) or "intervals" (the model's own) draws each robot's parameters anew for every
-            episode; None: they stay.
+        randomisation: "ranges" (Table I) or "intervals" (the model's own) draws each robot's parameters for every
+            episode; None: constant parameters.
 
     Raises:
-        ValueError: if a name is unknown, or the backend cannot do what is asked.
+        ValueError: if a name is unknown, or the backend does not support an option.
     """
     task = find_task(task)
     if not isinstance(model, RobotModel):

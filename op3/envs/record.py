@@ -1,4 +1,4 @@
-"""Episodes as logs: what the robots' sensors say at 125 Hz, and what the policy saw, did and got."""
+"""Episodes as logs: sensor readings at 125 Hz, and the policy's observations, actions and rewards."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -65,13 +65,13 @@ class _Tape:
 def record_episodes(
     env: BatchedEnv, policy: Policy | Any, episodes: int | None = None, recording: str | None = None
 ) -> list[Rollout]:
-    """Run every robot for one episode and record it; then again, until there are as many as asked.
+    """Record one episode of every robot at a time, until there are enough.
 
     Args:
         policy: a function from observations to actions, or anything with such a function ``act``, as a policy bundle.
             With a function ``commands`` of time it commands the servos itself, as `op3.tasks.StiffWalk`.
-        episodes: how many; None: one per robot.
-        recording: identity of the recordings; the number of the episode is added.
+        episodes: number of episodes; None: one per robot.
+        recording: name of the recordings, to which the number of the episode is added.
 
     Returns:
         Logs at 125 Hz with the schema of `op3.rollout`; the metadata hold task, seed of the episode, travelled

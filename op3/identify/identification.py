@@ -1,4 +1,4 @@
-"""From logs to a model: evaluate parameter sets, choose the best, refine it, test it on logs not used."""
+"""From logs to a model: evaluate parameter sets, choose the best, refine it, and test it on held-out logs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,15 +38,15 @@ CHECKED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class FitScore:
-    """How a model does on a set of logs.
+    """Errors of a model on a set of logs.
 
     Attributes:
-        loss: what was minimised, averaged over logs.
+        loss: minimised loss, averaged over logs.
         paper_eq7: paper eq. (7) with unit weights, over the same joints.
         terms: unweighted terms of eq. (7) by channel, averaged over logs.
         error_mrad: mean absolute joint position error, averaged over logs [mrad].
         errors_mrad: the same per log.
-        predictions: what was simulated, one candidate.
+        predictions: simulations of the one candidate.
     """
 
     loss: float
@@ -62,16 +62,16 @@ class Fit:
     """An identified model.
 
     Attributes:
-        label: what it is called on the page.
-        model: with the values found and their 90 % intervals.
+        label: name on the page.
+        model: model with the identified values and their 90 % intervals.
         found: names of the parameters that were searched.
         fit: score on the logs that were fitted.
-        heldout: score on the held-out logs; None where there are none.
+        heldout: score on the held-out logs; None if there are none.
         bounds: the range searched, by parameter name.
         starts: the model's values before the search, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
-        refined: loss before what follows the trials, then after every round and iteration; empty without.
-        identifiability: what the logs tell apart, and what not.
+        refined: loss after the trials, then after every round and iteration; empty without refinement.
+        identifiability: which parameters the logs determine.
         simulated_seconds: simulated time spent [s].
     """
 
@@ -89,7 +89,7 @@ class Fit:
 
 
 def check_unseen(logs: Sequence[Rollout], heldout: Sequence[Rollout]) -> None:
-    """Make sure that no held-out log is among the fitted ones, whatever the files are called.
+    """Check by content that no held-out log is among the fitted ones.
 
     Raises:
         LogError: if one is.
@@ -106,14 +106,14 @@ def check_unseen(logs: Sequence[Rollout], heldout: Sequence[Rollout]) -> None:
 
 @settings("refine")
 class Refine:
-    """What follows the trials of a study.
+    """Refinement after the trials of a study.
 
     Attributes:
-        rounds: of a search with a surrogate of the residuals, which begins with the trials.
+        rounds: rounds of a search with a surrogate of the residuals, starting from the trials.
         batch: points simulated per round.
-        seed: of what the rounds draw.
-        starts: how many of the best points least squares starts from.
-        max_iterations: of least squares.
+        seed: seed of the rounds.
+        starts: number of best points from which least squares starts.
+        max_iterations: largest number of iterations of least squares.
         polish: Gauss-Newton steps along combinations of parameters, last of all.
     """
 
@@ -163,8 +163,8 @@ class Identification:
 
     Args:
         model: effects that are on, and values of parameters that are not searched.
-        names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, counts for the logs
-            that meet it, one such as ``coulomb_friction@joint=elbow`` for that joint.
+        names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, applies to logs that
+            meet it, one such as ``coulomb_friction@joint=elbow`` for that joint.
         joints: joints whose traces count; all of a log where empty.
         loss: what to minimise; by default paper eq. (7) with unit weights.
         bench_timestep: simulation step of bench logs [s].
@@ -196,7 +196,7 @@ class Identification:
         self._all = Problem(model, [*logs, *heldout], self.loss, bench_timestep=bench_timestep)
 
     def check(self) -> None:
-        """Find out before the first trial whether the model can be simulated and compared on every log.
+        """Check before the first trial that the model can be simulated and compared on every log.
 
         Raises:
             ValueError: if not; the message names what does not fit.
@@ -209,7 +209,7 @@ class Identification:
 
     @property
     def identity(self) -> dict[str, str]:
-        """What the losses depend on beside the searched parameters, for `op3.identify.study.run_study`."""
+        """Everything besides the searched parameters that the losses depend on, for `op3.identify.study.run_study`."""
         logs = self.problem.replay.logs
         return {
             "logs": ", ".join(sorted(log.content_hash() for log in logs)),
@@ -219,14 +219,14 @@ class Identification:
         }
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
-        """Losses of trials whose parameters are config keys, as the study asks them."""
+        """Losses of trials whose parameters are config keys, for the study."""
         self._evaluated += len(population)
         return self.problem.evaluate([self._values(trial) for trial in population])
 
     def finish(
         self, study: optuna.Study, *, progress: Callable[[int, float], None] | None = None, **refine: Any
     ) -> Fit:
-        """Choose the best trial of a finished study, search on from there as `Refine` says, and score what is found.
+        """Choose the best trial of a finished study, refine it as `Refine` states, and score the result.
 
         Args:
             refine: fields of `Refine`.

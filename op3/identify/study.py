@@ -83,16 +83,16 @@ def run_study(
     worker: int = 0,
     progress: bool = True,
 ) -> optuna.Study:
-    """Run a study, or go on with a stored one, until it has `n_trials` finished trials.
+    """Run a study, or continue a stored one, until it has `n_trials` finished trials.
 
     The same seed gives the same trials on the same machine, also if the study is interrupted and resumed in between.
     Several processes may run the same call on the same storage at once, each as another worker: they share the trials.
-    A trial whose evaluation raises or is not finite is stored as failed, with its parameters, and the study goes on.
+    A trial whose evaluation raises or is not finite is stored as failed, with its parameters, and the study continues.
 
     Args:
-        evaluate: evaluates a population; one that raises is halved until the trial that raises is alone.
+        evaluate: evaluates a population; if it raises, the population is halved until the failing trial is isolated.
         search_space: the parameters and their ranges, see `op3.identify.search_space`.
-        sampler: how parameters are proposed, see `op3.identify.samplers`.
+        sampler: name of the sampler, see `op3.identify.samplers`.
         directions: `minimize` or `maximize` for each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
         n_trials: finished trials, complete or failed, of the whole study; each further worker may add two
@@ -100,7 +100,7 @@ def run_study(
         nominal: parameters of the first trial, the baseline; None starts without one.
         starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the
             same.
-        identity: what the values depend on beside the parameters, such as logs and model, each as a text or a digest;
+        identity: everything else that the values depend on, such as logs and model, each as a text or a digest;
             a stored study with another identity is refused. None checks nothing.
         seed: seed of the study; None keeps the stored seed, or draws one for a new study.
         worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
@@ -108,7 +108,7 @@ def run_study(
 
     Raises:
         StudyError: if sampler, storage or settings cannot be used or contradict the stored study, if results do not
-            match the population, if another process asks the same points, or if no trial completes and
+            match the population, if another process evaluates the same points, or if no trial completes and
             `FUTILE_POPULATIONS` in a row raise.
     """
     if population < 1 or n_trials < 1:

@@ -1,9 +1,8 @@
-"""The recorder: one cheap call per control tick, and at most a second lost when the process dies.
+"""The recorder: one fast call per control tick, and at most a second is lost if the process is killed.
 
-`append` only copies numbers into a buffer. A thread writes the buffer to `rows.bin` and forces it to the disk
-twice a second, so a slow disk never holds up the control loop. The file is one JSON line (the channels and
-their widths) followed by rows of float64, each with its time once more at its end; what a crash leaves behind is
-read up to the last whole row.
+`append` only copies numbers into a buffer. A thread writes the buffer to `rows.bin` and forces it to the disk twice a
+second, so a slow disk never blocks the control loop. The file is one JSON line (the channels and their widths) followed
+by rows of float64, each with its time once more at its end; after a crash it is read up to the last complete row.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Recorder:
 
     Args:
         folder: New folder of the rollout.
-        metadata: What is known at the start; `complete` is handled here.
+        metadata: Metadata known at the start; the recorder sets `complete`.
     """
 
     def __init__(self, folder: str | Path, metadata: Metadata):
@@ -153,7 +152,7 @@ class Recorder:
             self._failure = error
 
     def abandon(self) -> None:
-        """Stop and keep what is there as an incomplete log."""
+        """Stop, and keep the rows written so far as an incomplete log."""
         self._stop.set()
         self._thread.join()
         if not self._stream.closed:

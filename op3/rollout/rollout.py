@@ -1,4 +1,4 @@
-"""The rollout: samples in a TensorDict and what is known about them."""
+"""The rollout: samples in a TensorDict, and their metadata."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Rollout:
         data: TensorDict of batch size [time] or [episode, time] with the channels of `CHANNELS`, float64
             (`done` is bool), on the CPU.
         metadata: What is known besides the samples.
-        findings: What the checks found, where they were made; see `op3.rollout.health`.
+        findings: Findings of the checks, if they were made; see `op3.rollout.health`.
 
     Construction checks shapes, dtypes, finite values and increasing time, and raises `LogError` otherwise.
     """
@@ -83,10 +83,10 @@ class Rollout:
 
     @property
     def robot(self) -> Robot:
-        """The robot whose joints these are.
+        """The robot of these joints.
 
         Raises:
-            LogError: if its file is not where the metadata says, or is wrong, or lacks a joint.
+            LogError: if its file is missing or invalid, or does not have one of the joints.
         """
         robot = self.named_robot
         other = [joint for joint in self.joints if joint not in robot.joints]
@@ -109,7 +109,7 @@ class Rollout:
 
     @property
     def servos(self) -> list[ServoMake | None]:
-        """The make of each joint's servo; None where none is known."""
+        """The make of each joint's servo; None if unknown."""
         if self.metadata.mount == "pendulum":
             return [find_servo(self.metadata.servo)] * len(self.joints)
         try:
@@ -147,7 +147,7 @@ class Rollout:
         return isinstance(key, str | tuple) and normal_key(key) in self.channels
 
     def fingerprint(self) -> str:
-        """Twelve hex digits that tell one recording from another by its times and angles, whatever it is called."""
+        """Twelve hex digits that identify a recording by its times and angles."""
         parts = (np.ascontiguousarray(self.array(key)).tobytes() for key in ("time", "joint/position"))
         return hashlib.sha256(b"".join(parts)).hexdigest()[:12]
 
@@ -206,15 +206,15 @@ class Rollout:
         return dataclasses.replace(self, data=self.data[int(first) : int(last)])
 
     def check(self, source: str | Path | None = None, said: Path | None = None) -> Rollout:
-        """Raise `LogError` where the log cannot be right, as importers do.
+        """Run the checks, and raise `LogError` if the log has an error.
 
         Args:
-            source: Of the log, named in errors.
-            said: File that says the metadata, named in errors about these.
+            source: Source of the log, named in errors.
+        said: File with the metadata, named in errors about these.
 
         Returns:
-            The log with what is suspicious in `findings`; a channel of a joint that cannot be used is set aside: see
-            `measured`. Where no joint's is left, the channel is gone.
+            The log with warnings in `findings`; unusable channels of joints are excluded, see `measured`. A channel
+            that is unusable in all joints is removed.
         """
         # the checks look at rollouts, so they import this module
         from op3.rollout.health import ERROR, examine, merge_findings
@@ -229,20 +229,19 @@ class Rollout:
         return self.with_findings(findings)
 
     def with_findings(self, findings: Sequence[Any]) -> Rollout:
-        """The log with what was found, and without the columns that are to be set aside; see `measured`."""
+        """The log with findings, and with their columns excluded; see `measured`."""
         aside = {str(finding.column) for finding in findings if finding.set_aside}
         return dataclasses.replace(self._without(aside), findings=(*self.findings, *findings)) if findings else self
 
     def measured(self, key: str | tuple[str, ...]) -> np.ndarray:
-        """Which columns of a channel hold what was measured, [last axis]; the others were set aside."""
+        """Which columns of a channel are measured, [last axis]; the others are excluded."""
         return np.array([column not in self.metadata.set_aside for column in self._columns(normal_key(key))])
 
     def _without(self, aside: set[str]) -> Rollout:
-        """The log with these columns set aside.
+        """The log with these columns excluded.
 
-        In their place stand the command for a position, the derivative of position for a velocity, and the middle of
-        the other joints for the rest, so that no consumer meets a hole. Of a vector of the trunk no axis stands for
-        another: it is gone as a whole.
+        They are filled with the command for a position, the derivative of position for a velocity, and the median of
+        the other joints otherwise, so that all values are finite. A vector of the trunk is removed as a whole.
         """
         if not aside:
             return self
@@ -265,7 +264,7 @@ class Rollout:
         return Rollout(data, self.metadata.replace(set_aside=sorted(every)))
 
     def save(self, folder: str | Path, overwrite: bool = False) -> Path:
-        """Write `metadata.yaml` and the memory-mapped TensorDict `data/`; whole or not at all.
+        """Write `metadata.yaml` and the memory-mapped TensorDict `data/` atomically.
 
         Args:
             folder: New folder. One that holds a rollout is replaced only with `overwrite`; any other folder
@@ -303,7 +302,7 @@ class Rollout:
     def to_csv(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` gives back the same numbers.
 
-        Each file is replaced whole or not at all.
+        Each file is replaced atomically.
         """
         path = Path(path)
         if self.batched:

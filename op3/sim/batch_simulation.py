@@ -1,4 +1,4 @@
-"""Many simulations of one robot, each with parameters of its own, stepped together."""
+"""Many simulations of one robot, each with its own parameters, stepped together."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -21,13 +21,12 @@ from op3.sim.trunk_sensors import BaseBody, readings, undo_sensing
 class BatchSimulation:
     """``num_sims`` copies of a scene, with the servo law between steps of ``mujoco.Batch``.
 
-    Commands are held from one tick to the next; ``advance`` moves one control period. Parameters may differ
-    between simulations and between joints. A simulation that diverges is reported in ``failed`` and does not
-    disturb the others.
+    Commands are held from one tick to the next; ``advance`` moves one control period. Parameters may differ between
+    simulations and between joints. A simulation that diverges is reported in ``failed`` and does not affect the others.
 
-    Damping ``D`` of the servo law is integrated implicitly: ``(M + h D) a = f - D v`` for a step ``h``. It is
-    handed over as armature ``h D`` of that step, not as ``dof_damping``, because MuJoCo solves constraints with
-    ``M`` alone: friction would act against a reversal that the damping then prevents.
+    Damping ``D`` of the servo law is integrated implicitly: ``(M + h D) a = f - D v`` for a step ``h``. It is passed on
+    as armature ``h D`` of that step, not as ``dof_damping``, because MuJoCo solves constraints with ``M`` alone: it
+    would compute friction for a reversal of motion that the damping then prevents.
 
     Args:
         mj_model: compiled scene with servos attached to `joints`.
@@ -83,7 +82,7 @@ class BatchSimulation:
 
     @property
     def motor_current(self) -> np.ndarray:
-        """In the motors at the last step [A], ``[sim, joint]``."""
+        """Currents of the motors in the last step [A], ``[sim, joint]``."""
         return self.law.records["current"]
 
     @property
@@ -92,7 +91,7 @@ class BatchSimulation:
         return self._sensors
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
-        """Give parameters per simulation; those not named take the model's values.
+        """Set parameters per simulation; those not named get the model's values.
 
         Args:
             values: by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
@@ -130,7 +129,7 @@ class BatchSimulation:
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
             measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
                 each simulation then starts where its own sensors read them.
-            rows: indices of the simulations that restart, between ticks; the others are not disturbed. Then `qpos`,
+            rows: indices of the simulations that restart, between ticks; the others continue. Then `qpos`,
                 `qvel` and `commands` have one row for each of these. None: all.
 
         Raises:
@@ -160,7 +159,7 @@ class BatchSimulation:
         self.law.reset(ids)
 
     def command(self, **commands: Tensor) -> None:
-        """Set commands for the ticks to come; those not named are held.
+        """Set commands for the next ticks; those not named are held.
 
         Args:
             commands: any of ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad],
@@ -196,7 +195,7 @@ class BatchSimulation:
             self.failed |= torch.from_numpy(self.batch.warning.any((1, 2)))
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
-        """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
+        """Present readings of the servos' and the trunk's sensors: channels of the log, ``[sim, joint | 3]``."""
         self._read()
         return readings(self.law, self._base and self._base.trunk(self._qpos, self._qvel, self._xquat))
 

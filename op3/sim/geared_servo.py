@@ -1,4 +1,4 @@
-"""The servo law as an actuator of dm_control composer: an entity that a robot carries."""
+"""The servo law as an actuator of dm_control composer: an entity attached to a robot."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,14 +25,14 @@ class GearedServo(composer.Entity):
         robot.attach(servos)
         servos.command(position_target=targets, p_gain=gains, d_gain=0.1)  # from the task's before_step
 
-    The PD looks at the sensors every `control_period`; the law runs before every step of the physics. Use
-    ``legacy_step=False`` in ``composer.Environment``: only then is the order of steps that of ``mj_step``, and the
-    trajectory that of the batched simulation.
+    The PD reads the sensors every `control_period`; the law runs before every step of the physics. Use
+    ``legacy_step=False`` in ``composer.Environment``: otherwise the order of steps differs from ``mj_step`` and from
+    the batched simulation.
 
     Args:
         joints: dm_control MJCF elements of hinge joints; each gets a motor and a torque sensor.
         model: effects and parameter values of the servos.
-        base_body: MJCF element of the robot's base body, where there is one.
+        base_body: MJCF element of the robot's base body, if there is one.
         control_period: time between ticks of the PD [s], a multiple of the physics' time step.
     """
 
@@ -62,16 +62,16 @@ class GearedServo(composer.Entity):
         return self._mjcf_root
 
     def command(self, **commands: Any) -> None:
-        """Commands of the ticks to come, held until others are given.
+        """Set commands for the next ticks, held until changed.
 
         Args:
             **commands: ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad] and the others of
-                `op3.servo.Signals`, each ``[joint]``. Before an episode they count as if they had been held for long.
+                `op3.servo.Signals`, each ``[joint]``. Commands set before an episode count as held for long.
         """
         self._commands |= commands
 
     def after_compile(self, physics: Any, random_state: Any) -> None:
-        """Find the servos in the compiled model and carry out the effects' model edits."""
+        """Find the servos in the compiled model and apply the effects' model edits."""
         del random_state
         names = [joint.full_identifier for joint in self._joints]
         model = physics.model.ptr
@@ -120,11 +120,11 @@ class GearedServo(composer.Entity):
 
     @property
     def motor_current(self) -> np.ndarray:
-        """In the motors at the last step [A], ``[joint]``."""
+        """Currents of the motors in the last step [A], ``[joint]``."""
         return self.signals.current[0].numpy()
 
     def measure(self, physics: Any) -> Mapping[tuple[str, str], Tensor]:
-        """What the servos' and the trunk's sensors say now: channels of the log, ``[joint]`` and ``[3]``."""
+        """Present readings of the servos' and the trunk's sensors: channels of the log, ``[joint]`` and ``[3]``."""
         self._read(physics)
         state = physics.data.ptr
         arrays = (torch.from_numpy(array)[None] for array in (state.qpos, state.qvel, state.xquat))
@@ -138,7 +138,7 @@ class GearedServo(composer.Entity):
 
 
 class ServoObservables(composer.Observables):
-    """What the servos measure, ``[joint]``."""
+    """Readings of the servos, ``[joint]``."""
 
     @composer.observable
     def position(self) -> observable.Generic:

@@ -18,7 +18,7 @@ FORMAT = "op3-model/1"
 
 
 def save_model(model: RobotModel, path: str | Path) -> Path:
-    """Write a model; the file appears whole or not at all."""
+    """Write a model atomically."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, yaml.safe_dump(to_dict(model), sort_keys=False))
@@ -45,9 +45,9 @@ def load_model(name_or_path: str | Path) -> RobotModel:
 
 
 def model_hash(model: RobotModel) -> str:
-    """Twelve hex digits that name a model's effects and values, whatever its provenance.
+    """Twelve hex digits that identify a model's effects and values, without its provenance.
 
-    Options at their default do not count, so that an effect may gain an option without old models losing their name.
+    Options with default values are ignored, so that a new option of an effect does not change the hash of old models.
     """
     content = to_dict(model)
     content.pop("provenance", None)

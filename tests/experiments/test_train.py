@@ -75,7 +75,7 @@ def test_a_policy_is_trained_resumed_and_judged(tmp_path):
     assert PolicyBundle.load(run / "policy").manifest.hidden == (16, 16)
     (run / "checkpoint.pt").write_bytes((run / "checkpoint.pt").read_bytes()[:5000])
     done = run_script("train.py", f"resume={run}")
-    assert "checkpoint.pt: truncated or no checkpoint" in done.stderr
+    assert "checkpoint.pt: truncated, or not a checkpoint" in done.stderr
     assert "Traceback" not in done.stderr
 
     judged = tmp_path / "judged"

@@ -196,7 +196,7 @@ def test_broken_checkpoints_are_refused(tmp_path):
         run(tmp_path, settings, resume=True, learn={**LEARN, "hidden": (16, 16)})
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(ValueError, match=r"checkpoint.pt: truncated or no checkpoint"):
+    with pytest.raises(ValueError, match=r"checkpoint.pt: truncated, or not a checkpoint"):
         run(tmp_path, settings, resume=True)
 
 

@@ -74,20 +74,20 @@ class EmulatedClock:
 
 
 class EmulatedRobot:
-    """A robot on its bus: its servos and its OpenCR if it has one, with a physics behind them.
+    """A robot on its bus: its servos, its OpenCR if it has one, and a physics simulation.
 
-    With an OpenCR the servos have no power until its register `dynamixel_power` is written. Nothing here looks at the
-    wall clock: equal seeds and equal calls give equal bytes.
+    With an OpenCR the servos have no power until its register `dynamixel_power` is written. It does not use the wall
+    clock: equal seeds and equal calls give equal bytes.
 
     Args:
-        settings: EEPROM registers of all servos by name, in place of `USUAL_SETTINGS`.
+        settings: EEPROM registers of all servos by name, instead of `USUAL_SETTINGS`.
 
     Attributes:
-        open_cr: it is there for a robot without one too, and on no bus.
+        open_cr: the OpenCR; it also exists, but not on the bus, for a robot without one.
         driven: which motors regulate a current; the others run free [joint].
 
     Raises:
-        ValueError: if the robot has servos that this bus does not know, or a fault is of none of its devices.
+        ValueError: if the robot has servos that this bus does not support, or a fault names no device of it.
     """
 
     def __init__(
