@@ -74,7 +74,7 @@ def test_unknown_names_are_refused(tmp_path):
         ((*DEMO, "world=robot_99"), "robot_99"),
         ((*DEMO, "model=nowhere.yaml"), "nowhere.yaml"),
         ((*DEMO, "diagnose=perhaps"), "diagnose must be true, false or null"),
-        ((*DEMO, "train.steps=10"), "train.steps=10 reaches no stage"),
+        ((*DEMO, "train.steps=10"), "train.steps=10 has no effect on any stage"),
     ],
 )
 def test_what_is_impossible_is_refused_before_anything_is_done(arguments, sentence, tmp_path):

@@ -169,7 +169,7 @@ def test_arrays_of_two_controllers_are_of_different_joints(tmp_path):
         read(tmp_path / "other", states(), commands([0, 1, 2]), filtered)
 
 
-@pytest.mark.parametrize(("angle", "said"), [(0.0, "left out"), (0.4, "stop one of them")])
+@pytest.mark.parametrize(("angle", "said"), [(0.0, "are ignored"), (0.4, "stop one of them")])
 def test_two_publishers_of_commands_are_found(tmp_path, angle, said):
     """Zeros are left out, another pose is refused; levels that are told in turn are one publisher's."""
     second = [("/arm/commands", ARRAY, BEGIN + t + 0.007, array([angle] * 3)) for t in TIME[5::5]]
