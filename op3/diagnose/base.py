@@ -1,6 +1,7 @@
 """The baseline fit that findings are held against: its numbers, and Gauss-Newton steps with the judge's weights."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,9 @@ STEPS, ELSEWHERE = 12, 4
 
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Dampings of a step that are tried at once, as shares of each number's curvature."""
+
+EITHER_WAY = (-1 / 2, -1 / 4, -1 / 8, 1 / 8, 1 / 4, 1 / 2)
+"""Steps in the size of an effect alone that are tried behind those, in standard deviations of its prior."""
 
 HELD_AT_END = 1e-3
 """Share of a number's standard deviation that is left to it at the end of its range."""
@@ -165,10 +169,13 @@ def settle(
         state = fit.state
         if done:
             return Baseline(linear, fit)
-        tried = np.concatenate([point[None], point + damped(fit, judge.numbers)])
-        tried = np.clip(tried, coordinates.low, coordinates.high)
-        costs = cost_of(reduction, judge, fit, linear, coordinates, tried)
-        gained, point = costs[0] - costs.min(), tried[int(costs.argmin())]
+        costs_at = partial(cost_of, reduction, judge, fit, linear, coordinates)
+        costs, tried = costs_at(point + np.vstack([np.zeros(len(point)), damped(fit, judge.numbers)]))
+        least, point = costs.min(), tried[costs.argmin()]
+        if len(alone := either_way(coordinates)):
+            others, tried = costs_at(point + alone)
+            least, point = min((least, point), (others.min(), tried[others.argmin()]), key=lambda one: one[0])
+        gained = costs[0] - least
         number += 1
         done = number == steps or gained < SETTLED
 
@@ -187,14 +194,24 @@ def damped(fit: Posterior, numbers: Numbers) -> np.ndarray:
     return steps
 
 
+def either_way(coordinates: Coordinates) -> np.ndarray:
+    """Steps ``[step, number]`` in the size of one effect after another: where joints stick, or hang loose, the base's
+    numbers lead all steps astray that move them, and nothing linear says how far the size is off."""
+    sizes = [i for i, entry in enumerate(coordinates.entries) if entry.kind == "add"]
+    steps = np.diag(coordinates.deviation)[sizes]
+    return np.concatenate([share * steps for share in EITHER_WAY])
+
+
 def cost_of(
     reduction: Reduction, judge: Judge, fit: Posterior, linear: Linear, coordinates: Coordinates, points: np.ndarray
-) -> np.ndarray:
-    """Minus two log posterior of points (but for constants) under a fit's variances, ``[point]``."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Minus two log posterior of points (but for constants) under a fit's variances, ``[point]``, and the points within
+    the ranges of their numbers."""
+    points = np.clip(points, coordinates.low, coordinates.high)
     lacking = -reduction.reduce(linear.reducers, reduction.at(coordinates, points))
     known = np.isfinite(judge.rows.variance)
     misfits = np.array([judge.misfit(np.where(known, one, 0.0).astype(np.float64), fit) for one in lacking])
-    return misfits + coordinates.penalties(points)
+    return misfits + coordinates.penalties(points), points
 
 
 def at_point(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray | None = None) -> RobotModel:

@@ -1,19 +1,53 @@
-"""What windows are reduced by: noise of readings, pieces, and features of what a joint goes through."""
+"""Features of what a joint goes through: what it does and nobody explains is a sum of them."""
 
 import numpy as np
+from scipy import linalg
 
+from op3.diagnose.judge_settings import FLOORS, PIECES, Settings
+from op3.diagnose.rates import ESTIMATE, RATES, read
 from op3.replay.windows import WindowResiduals
-
-FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
-"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder and of 0.024 rad/s over sqrt(12), and a little more
-(ROBOTIS e-Manual, XM430; Feetech's magnetic encoders have as many steps). A current is noisier than its count of
-2.69 mA, by how much no maker says: 1.3 counts are our own choice."""
-
-PIECES = 4
-"""Pieces of a window in each of which the torque is constant."""
 
 OFTEN = np.array([3, 3, 3, 3, 2, 1, 1.0])
 """How often a feature looks at position, velocity, its direction, load, load times velocity, warmth, time."""
+
+
+SWAY = (0.2, 0.005)
+"""How far what a swaying stand asks of joints is known: a share of it, as nobody knows the point about which the stand
+bends, and a time [s], as nobody knows the gyro's filter (register map of the MPU-9250: 1 to 18 ms)."""
+
+
+def features(engine: WindowResiduals, joints: np.ndarray, unit: float, settings: Settings) -> np.ndarray:
+    """What some joints may do unexplained, ``[joint, window, row, feature]``.
+
+    Of torques what they go through and what is not known of a stand's sway, of rates how servos estimate velocity.
+
+    Args:
+        engine: windows of logs.
+        joints: columns.
+        unit: of torque [N m].
+        settings: tuned constants.
+    """
+    motion, by_window, ticks = engine.motion, engine.by_window, engine.ticks
+    made = random_features(engine, joints, settings.features)
+    carried = np.einsum("tjk,tok->otj", motion.dynamics.carried, engine.sway) / unit
+    for share, torque in zip(SWAY, carried, strict=True):  # of what the gyro says of the stand
+        made.append(share / settings.law * by_window(torque)[..., joints])
+    of_piece = np.arange(ticks) * PIECES // ticks
+    mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
+    torques = _rows(mean, np.stack(made))
+    velocity, acceleration = (by_window(one, end=True) for one in (motion.velocity, motion.acceleration))
+    known = velocity, acceleration, np.gradient(acceleration, engine.period, axis=1)
+    made = [size / settings.law * one[..., joints] for size, one in zip(ESTIMATE, known, strict=True)]
+    rates = _rows(read(ticks) / FLOORS["joint", "velocity"], np.stack(made))
+    whole = np.zeros((*torques.shape[:2], 2 * PIECES + RATES, torques.shape[3] + rates.shape[3]))
+    whole[:, :, :PIECES, : torques.shape[3]], whole[:, :, -RATES:, torques.shape[3] :] = torques, rates
+    return whole
+
+
+def _rows(weights: np.ndarray, made: np.ndarray) -> np.ndarray:
+    """Mean and differences of pieces, by weights ``[piece, tick]``, of features ``[feature, window, tick, joint]``."""
+    pieces = np.einsum("pt,fwtj->jwpf", weights, made)
+    return np.einsum("rp,jwpf->jwrf", linalg.helmert(len(weights), full=True), pieces)
 
 
 def random_features(engine: WindowResiduals, joints: np.ndarray, count: int) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy import linalg
 
-from op3.diagnose.features import FLOORS, PIECES
+from op3.diagnose.judge_settings import FLOORS, PIECES
 from op3.servo.effects import VelocityFilter
 
 RATES = PIECES - 1

@@ -21,10 +21,10 @@ from torch import Tensor
 
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import SPREAD_LIMIT, Coordinate, Coordinates
-from op3.diagnose.features import FLOORS, PIECES, random_features
+from op3.diagnose.features import features
 from op3.diagnose.judge import Rows
-from op3.diagnose.judge_settings import SETTINGS, Settings
-from op3.diagnose.rates import ESTIMATE, RATES, filtered, read, rounding
+from op3.diagnose.judge_settings import FLOORS, PIECES, SETTINGS, Settings
+from op3.diagnose.rates import RATES, filtered, read, rounding
 from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
 from op3.replay.windows import WindowResiduals
 from op3.servo import RobotModel, parameter
@@ -38,10 +38,6 @@ STEP = 0.02
 
 MOVES = 0.05
 """A joint moves if its speed has this standard deviation [rad/s]."""
-
-SWAY = (0.2, 0.005)
-"""How far what a swaying stand asks of joints is known: a share of it, as nobody knows the point about which the stand
-bends, and a time [s], as nobody knows the gyro's filter (register map of the MPU-9250: 1 to 18 ms)."""
 
 COARSE = 2
 """How many times longer than usual the steps are of which only differences count: a column. Not of a time, such as a
@@ -108,7 +104,6 @@ class Reduction:
         self.loads = np.sqrt(np.square(needed).mean(0))[self.judged]
         self.floor = np.where(engine.known, list(FLOORS.values()), np.inf)
         self._parts = [engine.part(limb) for limb in self.limbs] if len(every) > 1 else [engine]
-        self._turn = linalg.helmert(PIECES, full=True)
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
         self._read = read(self.ticks).astype(np.float32)
@@ -130,31 +125,26 @@ class Reduction:
     ) -> list[np.ndarray]:
         """Whitened errors of parameter sets, by limb, or of one of them, ``[set, window, residual]``; channels not
         measured are zero."""
-        chosen = slice(None) if limb is None else slice(limb, limb + 1)
-        parts: list[list[np.ndarray]] = [[] for _ in self.limbs[chosen]]
+        chosen = range(len(self.limbs)) if limb is None else [limb]
         together = any(not p.per_joint and not effect.edits for effect in model.effects for p in effect.parameters)
+
+        def whitened(engine: WindowResiduals, at: list[int], piece: slice) -> np.ndarray:
+            """By the sensors' floors, of some joints, ``[set, window, tick, joint, channel]``."""
+            given = {n: value[piece, at] if value.shape[1] == self.count else value[piece] for n, value in sets.items()}
+            apart = {name: value[piece, at] for name, value in offsets.items()}
+            error = engine.errors(model, given, piece.stop - piece.start, stretch=stretch, **apart)
+            error /= self.floor[at].astype(np.float32)
+            return np.clip(error, -FARTHEST, FARTHEST, out=error)
+
+        found = []
         for begin in range(0, count, CHUNK):
             piece = slice(begin, min(begin + CHUNK, count))
-            given = {name: value[piece] for name, value in sets.items()}
-            apart = {name: value[piece] for name, value in offsets.items()}
             if together:  # an effect of the whole robot, such as a supply that sags with all currents
-                whole = self._whitened(self.engine, range(self.count), model, given, stretch, apart)
-                found = [whole[:, :, :, its] for its in self.limbs[chosen]]
+                whole = whitened(self.engine, list(range(self.count)), piece)
+                found.append([whole[:, :, :, self.limbs[k]] for k in chosen])
             else:
-                both = zip(self._parts[chosen], self.limbs[chosen], strict=True)
-                found = [self._whitened(part, its, model, given, stretch, apart) for part, its in both]
-            for part, error in zip(parts, found, strict=True):
-                part.append(error.reshape(len(error), self.windows, -1))
-        return [np.concatenate(part) for part in parts]
-
-    def _whitened(self, engine, columns, model: RobotModel, given, stretch: int, apart) -> np.ndarray:
-        """Errors of some joints, ``[set, window, tick, joint, channel]``, by the sensors' floors."""
-        at = list(columns)
-        own = {name: value[:, at] if value.shape[1] == self.count else value for name, value in given.items()}
-        offsets = {name: value[:, at] for name, value in apart.items()}
-        error = engine.errors(model, own, len(next(iter(given.values()))), stretch=stretch, **offsets)
-        error /= self.floor[at].astype(np.float32)
-        return np.clip(error, -FARTHEST, FARTHEST, out=error)
+                found.append([whitened(self._parts[k], self.limbs[k].tolist(), piece) for k in chosen])
+        return [np.concatenate(parts).reshape(count, self.windows, -1) for parts in zip(*found, strict=True)]
 
     def at(
         self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1, limb: int | None = None
@@ -223,9 +213,7 @@ class Reduction:
 
     def of_model(self, model: RobotModel) -> list[np.ndarray]:
         """Whitened errors of a model as it is, by limb ``[1, window, residual]``."""
-        name = next(iter(model.parameters()))
-        value = model.tensors(self.engine.joints)[name].double().reshape(1, -1)
-        errors = self.errors(model, {name: value}, 1)
+        errors = self.errors(model, {}, 1)
         self.forget()
         return errors
 
@@ -394,32 +382,8 @@ class Reduction:
 
     @cached_property
     def features(self) -> np.ndarray:
-        """Random features of what a joint goes through, of its torques, ``[joint, window, row, feature]``.
-
-        Behind them what is not known of a stand's sway, and of rates.
-        """
-        engine = self.engine
-        made = random_features(engine, self.judged, self.settings.features)
-        carried = np.einsum("tjk,tok->otj", engine.motion.dynamics.carried, engine.sway) / self.unit
-        for share, torque in zip(SWAY, carried, strict=True):  # of what the gyro says of the stand
-            made.append(share / self.settings.law * engine.by_window(torque)[..., self.judged])
-        mean = self._mean[:, :-1] / self._mean[:, :-1].sum(1, keepdims=True)
-        pieces = np.einsum("pt,fwtj->jwpf", mean, np.stack(made))
-        turned = np.einsum("rp,jwpf->jwrf", self._turn, pieces)
-        estimated = self._estimated / self.settings.law
-        whole = np.zeros((*turned.shape[:2], len(self.kinds), turned.shape[3] + estimated.shape[3]))
-        whole[:, :, :PIECES, : turned.shape[3]], whole[:, :, -RATES:, turned.shape[3] :] = turned, estimated
-        return whole
-
-    @property
-    def _estimated(self) -> np.ndarray:
-        """What is not known of how servos estimate velocity, ``[joint, window, row, feature]``."""
-        motion, by_window = self.engine.motion, self.engine.by_window
-        velocity, acceleration = (by_window(one, end=True) for one in (motion.velocity, motion.acceleration))
-        jerk = np.gradient(acceleration, self.engine.period, axis=1)
-        made = [size * one for size, one in zip(ESTIMATE, (velocity, acceleration, jerk), strict=True)]
-        pieces = np.einsum("pt,fwtj->jwpf", self._read / FLOORS["joint", "velocity"], np.stack(made)[..., self.judged])
-        return np.einsum("rp,jwpf->jwrf", linalg.helmert(RATES, full=True), pieces)
+        """Of what joints do and nobody explains, ``[joint, window, row, feature]``."""
+        return features(self.engine, self.judged, self.unit, self.settings)
 
 
 def _is_time(name: str) -> bool:

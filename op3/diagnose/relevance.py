@@ -7,8 +7,8 @@ import numpy as np
 
 from op3.diagnose.base import Baseline
 from op3.diagnose.judge import Rows
-from op3.diagnose.judge_settings import Settings
-from op3.diagnose.reduction import PIECES, Reduction
+from op3.diagnose.judge_settings import PIECES, Settings
+from op3.diagnose.reduction import Reduction
 
 
 @dataclass(frozen=True)

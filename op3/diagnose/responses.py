@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from op3.diagnose.features import FLOORS, PIECES
+from op3.diagnose.judge_settings import FLOORS, PIECES
 from op3.diagnose.rates import moved
 from op3.replay.windows import WindowResiduals
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from op3.diagnose.judge_settings import PIECES
 from op3.diagnose.naming import NamingStage
-from op3.diagnose.reduction import PIECES, Reduction
+from op3.diagnose.reduction import Reduction
 from op3.diagnose.verdict import JointGap
 
 BINS = 8

@@ -137,25 +137,23 @@ def _stage(unit: str, squares: np.ndarray, floor: float | None, signal: float) -
 
 def _over_joints(joints: Mapping[str, Mapping[str, StageGap]]) -> dict[str, StageGap]:
     """Root mean squares over joints, by channel."""
-    result = {}
-    for name, unit in CHANNELS.items():
-        all_of = [of[name] for of in joints.values() if name in of]
-        if all_of:
-            floors = [one.floor for one in all_of if one.floor is not None]
-            square = {
-                field: float(np.sqrt(np.mean([getattr(one, field) ** 2 for one in all_of])))
-                for field in (*STAGES, "signal")
-            }
-            floor = float(np.sqrt(np.mean(np.square(floors)))) if floors else None
-            result[name] = StageGap(unit, **square, floor=floor)
-    return result
+
+    def over(parts: Sequence[StageGap], name: str) -> float | None:
+        known = [value for one in parts if (value := getattr(one, name)) is not None]
+        return float(np.sqrt(np.mean(np.square(known)))) if known else None
+
+    by_channel = {name: [of[name] for of in joints.values() if name in of] for name in CHANNELS}
+    fields = (*STAGES, "floor", "signal")
+    return {
+        name: StageGap(CHANNELS[name], *(over(parts, field) for field in fields))  # type: ignore[arg-type]
+        for name, parts in by_channel.items()
+        if parts
+    }
 
 
 def _errors(engine: WindowResiduals, model: RobotModel) -> np.ndarray:
     """Simulated minus measured, ``[window, tick, joint, channel]``."""
-    name = next(iter(model.parameters()))
-    value = model.tensors(engine.joints)[name]
-    error = engine.errors(model, {name: value.double().reshape(1, -1)}, 1)[0]
+    error = engine.errors(model)[0]
     engine.forget()
     return error
 
@@ -245,8 +243,7 @@ def plain_gaps(gaps: WindowGaps) -> dict[str, Any]:
     """The content of ``verdict.yaml``: errors in SI units, and as shares of what is predicted [%]."""
 
     def entry(one: StageGap) -> dict[str, Any]:
-        values = {name: getattr(one, name) for name in ("unit", *STAGES, "floor", "signal")}
-        return values | {"percent": one.percent}
+        return vars(one) | {"percent": one.percent}
 
     return {
         "length": gaps.length,

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from op3.diagnose.base import Baseline, End, as_usual, damped, gap_of, settle, unfitted
+from op3.diagnose.candidates import candidates
 from op3.diagnose.coordinates import any_spread, base_coordinates, other_forms, with_chain, with_own_spread
 from op3.diagnose.doubts import doubts, freed, unusual
 from op3.diagnose.findings import Search
@@ -25,7 +26,7 @@ from op3.replay.planned import planned_suite
 from op3.replay.windows import WindowResiduals
 from op3.rollout import Rollout
 from op3.servo import Estimate
-from op3.servo.effects import LoadFriction
+from op3.servo.effects import Backlash, LoadFriction
 from op3.sim import load_model
 from tests.op3_table import LEG_JOINTS
 
@@ -112,6 +113,24 @@ def test_a_number_at_its_end_holds_back_no_other():
     precision, pull = np.array([[2.0, 1.9], [1.9, 2.0]]), np.array([-1.0, 3.0])
     fit = Posterior(np.linalg.solve(precision, pull), precision, 0.0, (), Variances(*np.zeros((3, 1))))
     assert damped(fit, numbers)[0] == pytest.approx([0.0, 1.5])
+
+
+def test_the_size_of_a_gap_is_found_from_less_than_half_of_it():
+    """A knee's play of 16 mrad in all, from 6 mrad on, with columns of the base as they are without play: Gauss-Newton
+    steps alone end at 7 mrad."""
+    sound, gap = load_model("paper"), {"backlash_half_gap": Estimate(0.0, joints={"r_knee": 0.008})}
+    loose = sound.with_effect(Backlash(), {**gap, "contact_stiffness": 300.0, "output_inertia": 0.0005})
+    runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
+    reduction = Reduction(WindowResiduals(planned_suite(loose, runs), windows=18))
+    base, joints = unfitted(reduction, sound), reduction.engine.joints
+    place = "backlash", (joints.index("r_knee"),)
+    one = next(each for each in candidates(base.model, joints, reduction.moving, {}) if each.place == place)
+    own = one.coordinates(base.model, base.coordinates.entries, 0.003 / one.secant[one.sized], Settings())
+    coordinates = base.coordinates.extended(one.switched_on(base.model, joints), own)
+    start = np.concatenate([base.point, coordinates.start[len(base.point) :]])
+    assert start[len(base.point)] == pytest.approx(0.003)
+    end = settle(reduction, coordinates, start, steps=2, like=base.linear)
+    assert end.point[len(base.point)] == pytest.approx(0.008, abs=0.001)
 
 
 def test_servos_differ_as_most_of_the_robot_do():

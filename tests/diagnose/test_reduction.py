@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import base_coordinates, with_chain
-from op3.diagnose.features import FLOORS, PIECES
+from op3.diagnose.judge_settings import FLOORS, PIECES
 from op3.diagnose.rates import RATES, filtered, moved, read
 from op3.diagnose.reduction import Reduction
 from op3.motions import chirp, leg_suite
