@@ -19,7 +19,8 @@ CLAIMED = "OP3_CLAIMED_FOLDER"
 
 _LOGIN = re.compile(r"(?P<before>[A-Za-z][A-Za-z0-9+.-]*://[^\s:/@]*:)(?P<secret>[^\s'\"]+)(?=@)")
 _NAMED = re.compile(
-    r"(?P<before>(?:password|passwd|passphrase|\bpwd?|token|bearer|(?:api|access|wandb)[-_]?key|secret)"
+    r"(?P<before>(?:password|passwd|passphrase|\bpwd?|(?:api|access|wandb)[-_]?key|bearer"
+    r"|(?:(?<!\w )|(?=\w+=))(?:token|secret))"  # "unexpected token: x" is a sentence, and no name of a value
     r"(?!\W{0,2}\$\{)(?:\W{0,2}[=:]\W{0,2}|(?<=bearer) +))(?P<secret>[^\s'\",;&}*$]{3,})",
     re.IGNORECASE,
 )

@@ -219,47 +219,37 @@ def beyond_limits(view: View) -> Iterator[LogFinding]:
         known = view.log.named_robot
     except LogError:  # told by the check of the robot
         return
-    turned = _turned_round(view, known)
-    for joint, name in enumerate(view.joints):
-        if name in known.joints:
-            low, high = known.limits[known.joints.index(name)]
-            angle = view.position[:, joint]
-            share, other = (
-                float(((sign * angle < low - 0.1) | (sign * angle > high + 0.1)).mean()) for sign in (1, -1)
-            )
-            if share > 0.5:
-                problem = (
-                    f"{share:.0%} of the positions lie outside {low:.2f} to {high:.2f} rad, where {known.name} ends"
-                )
-                remedy = "look at its sign and its zero"
-                if other < 0.05:
-                    problem += "; with its sign turned round they would not"
-                    problem += f", and by their partners so are those of {', '.join(turned)}" if turned else ""
-                    remedy = "write `sign: -1` for positions, targets, velocities and currents of these joints"
-                yield view.found(WARNING, (POSITION, joint), problem, remedy)
+    names = [name for name in view.joints if name in known.joints]
+    rows, angles = known.indices(names), view.position[:, [view.joints.index(name) for name in names]]
+    low, high = known.limits[rows].T
+    shares = {sign: ((sign * angles < low - 0.1) | (sign * angles > high + 0.1)).mean(0) for sign in (1, -1)}
+    wrong = {name: bool(back < 0.05) for name, out, back in zip(names, *shares.values(), strict=True) if out > 0.5}
+    turned = _turned_round(known, dict(zip(names, angles.mean(0).tolist(), strict=True)), [n for n in wrong if wrong[n]])
+    for name, mirrored in wrong.items():
+        at = names.index(name)
+        problem = f"{shares[1][at]:.0%} of the positions lie outside {low[at]:.2f} to {high[at]:.2f} rad, where "
+        problem += f"{known.name} ends"
+        remedy = "look at its sign and its zero"
+        if mirrored:
+            problem += f"; with its sign turned round they would not{turned}"
+            remedy = "write `sign: -1` for positions, targets, velocities and currents of these joints"
+        yield view.found(WARNING, (POSITION, view.joints.index(name)), problem, remedy)
 
 
-def _turned_round(view: View, robot: Robot) -> list[str]:
-    """Joints whose means are those of their partners' mirror images with the sign turned round, on the fewer side of
-    the robot to be mended: that of a joint outside its limits."""
-    if not robot.partners:
-        return []
-    means, found = dict(zip(view.joints, view.position.mean(0).tolist(), strict=True)), []
-    for name, (partner, sign) in ((n, robot.mirror[n]) for n in view.joints if n in robot.joints):
-        if name == partner or partner not in means or abs(means[name]) < 0.1:
+def _turned_round(robot: Robot, means: dict[str, float], wrong: list[str]) -> str:
+    """Which other joints of the same sides stand as their partners' mirror images with the sign turned round, and which
+    stand too near to 0 to say, in words."""
+    sides, turned, unseen = {name.split("_")[0] for name in wrong}, [], []
+    for name in (n for n in means if robot.partners and n not in wrong and n.split("_")[0] in sides):
+        partner, sign = robot.mirror[name]
+        if name == partner or partner not in means:
             continue
-        if abs(means[name] + sign * means[partner]) < 0.3 * abs(means[name] - sign * means[partner]):
-            low, high = robot.limits[robot.joints.index(name)]
-            inside = low - 0.05 <= -means[name] <= high + 0.05
-            outside = [n for n in view.joints if n in robot.joints and _outside(means[n], robot, n)]
-            beside = any(n.split("_")[0] == name.split("_")[0] for n in outside)
-            found += [name] if inside and beside else []
-    return found
-
-
-def _outside(mean: float, robot: Robot, joint: str) -> bool:
-    low, high = robot.limits[robot.joints.index(joint)]
-    return not low - 0.1 <= mean <= high + 0.1
+        if max(abs(means[name]), abs(means[partner])) < 0.1:
+            unseen.append(name)
+        elif abs(means[name] + sign * means[partner]) < 0.3 * abs(means[name] - sign * means[partner]):
+            turned.append(name)
+    text = f", and by their partners so are those of {', '.join(turned)}" if turned else ""
+    return text + (f" ({', '.join(unseen)} stand too near 0 to say)" if turned and unseen else "")
 
 
 @check("constant offset", unless=("position against command",))

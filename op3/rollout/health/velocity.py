@@ -179,7 +179,9 @@ def velocity(view: View) -> Iterator[LogFinding]:
             yield view.found(WARNING, (POSITION, joint), problem, remedy)
             continue
         if refuse and no_sensor(ratio):
+            unit = likely_unit(ratio or 0.0, "rad/s", 0.05)
             remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
+            remedy = f"write `unit: {unit}` for it under `columns:` in the YAML" if unit else remedy
             yield view.found(ERROR, (VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax())
         else:
             remedy = "the channel is not used; correct it where you know how"
