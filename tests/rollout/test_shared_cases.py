@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -68,7 +69,9 @@ IMPORTS = [
     Import("csv_xl320_counts", "run.csv", ARM, ("# doubtful:", "1024 counts in 300 degrees, such as XL-320")),
     Import(
         "lerobot_bimanual_normalised",
-        spans={f"{side}_{name}": span for side in ("left", "right") for name, span in {**ARM, "gripper": 0.025}.items()},
+        spans={
+            f"{side}_{name}": span for side in ("left", "right") for name, span in {**ARM, "gripper": 0.025}.items()
+        },
         says=("a gain of 16 to the servos", "every row has the numbers of left_shoulder_pan.position"),
         seconds=7.97,
     ),
@@ -165,9 +168,8 @@ def test_a_robot_is_recorded_or_explained(model, more, says, source, tmp_path, c
     file.write_text(file.read_text().rstrip() + "\n" + more)
     arguments = dict(source=source, robot=file, mount="stand", overrides=["motion.duration=2"])
     if says and "ignored" not in says:
-        with pytest.raises(ValueError, match=".") as error:
+        with pytest.raises(ValueError, match=re.escape(says)):
             collect("multisine", **arguments)
-        assert says in str(error.value)
         return
     (log,) = collect("multisine", **arguments).logs
     assert not says or says in caplog.text
@@ -186,7 +188,10 @@ def test_a_mimicking_joint_needs_no_servo(tmp_path):
 def recorded(names: Sequence[str], folder: Path) -> list[tuple[Path, ...]]:
     """Recordings of two seconds of these robots."""
     more = dict(source="stand_in", mount="stand", overrides=["motion.duration=2"])
-    return [collect("multisine", robot=INPUTS / name, folder=folder / str(i), **more).folders for i, name in enumerate(names)]
+    return [
+        collect("multisine", robot=INPUTS / name, folder=folder / str(i), **more).folders
+        for i, name in enumerate(names)
+    ]
 
 
 def test_another_robots_study_is_refused(tmp_path):

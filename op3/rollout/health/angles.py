@@ -224,7 +224,9 @@ def beyond_limits(view: View) -> Iterator[LogFinding]:
     low, high = known.limits[rows].T
     shares = {sign: ((sign * angles < low - 0.1) | (sign * angles > high + 0.1)).mean(0) for sign in (1, -1)}
     wrong = {name: bool(back < 0.05) for name, out, back in zip(names, *shares.values(), strict=True) if out > 0.5}
-    turned = _turned_round(known, dict(zip(names, angles.mean(0).tolist(), strict=True)), [n for n in wrong if wrong[n]])
+    turned = _turned_round(
+        known, dict(zip(names, angles.mean(0).tolist(), strict=True)), [n for n in wrong if wrong[n]]
+    )
     for name, mirrored in wrong.items():
         at = names.index(name)
         problem = f"{shares[1][at]:.0%} of the positions lie outside {low[at]:.2f} to {high[at]:.2f} rad, where "

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, WARNING, LogFinding, View, check
 from op3.rollout.health.match import SURE, delayed, fitted, longest_run, match
+from op3.rollout.health.still import commands_stop
 from op3.rollout.metadata import HOLDING
 
 _UNRELATED = 0.5
@@ -20,24 +22,23 @@ _PERIOD = 0.02
 _LEAVE = "leave this time out, and look at the servo's supply, its errors and its torque switch"
 
 _LETS_GO = 0.14
-"""A joint that does not follow for less is not told [s]."""
+"""A joint that lets go for less is not told [s]."""
 
-_FAR, _FURTHER, _TIMES = 0.05, 0.1, 4.5
-"""Nor one that is off what its command lets expect by less than the first while it comes no nearer, or than the second
-[rad], or by fewer times as much as otherwise: 3.0 in sound logs of benches, arms and policies on their feet, and 0.08
-rad of a jaw whose command is faster than it."""
+_RECENT = (0.12, 0.25)
+"""A joint that follows is between the least and the largest of the targets of so long, quick or slow as it is [s]."""
 
-_PULLS, _WITHIN = 0.15, 0.1
-"""A joint that is driven comes nearer to its target by this share of its error within this time [s] at least."""
+_FAR, _TIMES = 0.08, 3.0
+"""One that stays beyond them by less is not told [rad], or by fewer times as much as it is beyond them otherwise."""
 
-_MOVED = 0.01
-"""What a joint is off usually is that where its command of the last quarter of a second spans so much [rad]."""
+_PULLS, _SPEEDS, _WITHIN = 0.15, 0.25, 0.1
+"""A joint that is driven comes nearer to its targets by this share of its distance, or of what it moves at its fastest,
+within this time [s] at least."""
 
 
 @check("lets go", unless=("position against command", "two clocks", "time jumps", "stale readings"))
 def lets_go(view: View) -> Iterator[LogFinding]:
-    """For a while a joint takes no current where its error asks for it, or moves otherwise than its command lets expect
-    from the rest of the log, while the other joints do not."""
+    """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
+    not pulled towards them, much further off than at other times, while the other joints are not."""
     if len(view.time) < 50 or view.metadata.fallen:
         return
     told: set[int] = set()
@@ -57,11 +58,11 @@ def lets_go(view: View) -> Iterator[LogFinding]:
                 problem = f"{key[1]} is {values[worst, joint] + 0.0:.2g} where its law gives {wanted[worst]:.2g}, for "
                 problem += f"{view.time[last] - view.time[first]:.2g} s: the servo had let go"
                 yield view.found(WARNING, (POSITION, joint), problem, _LEAVE, first, last)
-    yield from _off_its_way(view, told)
+    yield from _astray(view, told | commands_stop(view).keys())
 
 
 def _without(values: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval: float) -> tuple[int, int] | None:
-    """First and last row in which nothing is given where much is asked for, and at other times it is."""
+    """First and last row in which nothing is given, where much is asked for in some, and at other times it is given."""
     size = np.abs(wanted)
     if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
         return None
@@ -71,65 +72,71 @@ def _without(values: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interva
     rest = driven & ~none & (size > 0.25 * asked)
     others = np.abs(values[rest]) / size[rest]
     given = len(others) > 10 and float(np.median(others)) > 0.3
-    return (first, first + length - 1) if given and length >= max(3, round(_LETS_GO / interval)) else None
+    if not given or length < max(3, round(_LETS_GO / interval)):
+        return None
+    start, end = _around(np.abs(values) < 0.1 * asked, first)
+    return min(start, first), max(end, first + length) - 1
 
 
-def _off_its_way(view: View, told: set[int]) -> Iterator[LogFinding]:
+def _around(rows: np.ndarray, row: int) -> tuple[int, int]:
+    """The run of truths [row] in which a row lies, and the row behind it."""
+    away = np.flatnonzero(~rows)
+    before, behind = away[away < row], away[away >= row]
+    return int(before[-1] + 1) if len(before) else 0, int(behind[0]) if len(behind) else len(rows)
+
+
+def _astray(view: View, told: set[int]) -> Iterator[LogFinding]:
     stride = max(1, round(_PERIOD / view.interval))
-    angle, target = view.position[::stride], view.command[::stride]
-    period = stride * view.interval
+    angle, target, period = view.position[::stride], view.command[::stride], stride * view.interval
     if len(angle) < 50 or period > 2 * _PERIOD:
         return
-    moving = (np.ptp(target, axis=0) > 0.1) & (np.ptp(angle, axis=0) > 0.05) & view.driven[::stride].all(0)
-    found = {joint: _unexplained(angle[:, joint], target[:, joint], period) for joint in np.flatnonzero(moving)}
-    rests = {joint: rest for joint, rest in found.items() if rest is not None}
-    least = {joint: max(_FAR, _TIMES * usual) for joint, (_, usual) in rests.items()}
-    far = {joint: rest > least[joint] for joint, (rest, _) in rests.items()}
     ahead, rows = (max(2, round(time / period)) for time in (_WITHIN, _LETS_GO))
-    for joint, off in far.items():
-        error, moved = target[:, joint] - angle[:, joint], np.roll(angle[:, joint], -ahead) - angle[:, joint]
-        moved[-ahead:] = 0.0
-        further = rests[joint][0] > max(_FURTHER, least[joint])
-        nearer, size, within, beyond = (
-            np.convolve(part, np.ones(rows), "valid") for part in (moved * error, error**2, off, further)
-        )
-        limp = np.flatnonzero((within > rows - 0.5) & ((nearer < _PULLS * size) | (beyond > rows - 0.5)))
-        if joint in told or not len(limp):
-            continue
-        edges = np.flatnonzero(np.diff(off, prepend=False, append=False)).reshape(-1, 2)
-        first, end = max(((a, b) for a, b in edges if ((a <= limp) & (limp < b)).any()), key=lambda e: e[1] - e[0])
-        shaken = [other for other in far if other != joint and far[other][first:end].mean() > 0.3]
-        if len(shaken) * 2 >= max(len(far) - 1, 1) or np.ptp(target[first:end, joint]) < 0.02:
-            continue  # something moved all of them, or what it carries moved it
-        most = f"{rests[joint][0][first:end].max():.2g} rad off what its command lets expect"
-        problem = (
-            f"the joint is {most}, for {(end - first) * period:.2g} s, and {rests[joint][1]:.2g} rad otherwise: its "
-        )
-        problem += "torque was off, or it was blocked"
-        last = min((end - 1) * stride, len(view.time) - 1)
-        yield view.found(WARNING, (POSITION, joint), problem, _LEAVE, first * stride, last)
+    moved, driven = angle[ahead:] - angle[:-ahead], view.driven[::stride]
+    for recent in _RECENT:
+        past = max(1, round(recent / period))
+        (least, most), (switched, _) = _recent(target, past), _recent(driven, past)
+        mean = angle - np.median(angle - target, axis=0)  # another zero is another check's
+        off = np.where(switched, mean - np.clip(mean, least, most), 0.0)
+        for joint in (j for j in range(len(view.joints)) if j not in told):
+            found, usual = _let_go(off[:-ahead, joint], moved[:, joint], rows, past)
+            if not found:
+                continue
+            first, end, far = found[0]
+            others = np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 2
+            if 2 * others.sum() >= max(len(others), 1):
+                continue  # something moved all of them
+            told.add(joint)
+            more = f" and {len(found) - 1} times more" if len(found) > 1 else ""
+            problem = f"the joint stays {far:.2g} rad beyond all its targets of {recent} s, for "
+            problem += (
+                f"{(end - first) * period:.2g} s{more}, and {usual:.2g} rad otherwise: its torque was off, or it "
+            )
+            problem += "was blocked"
+            last = min((end - 1) * stride, len(view.time) - 1)
+            yield view.found(WARNING, (POSITION, joint), problem, _LEAVE, first * stride, last)
 
 
-def _unexplained(angle: np.ndarray, target: np.ndarray, period: float) -> tuple[np.ndarray, float] | None:
-    """How far a position [row] is off what its command of the last quarter of a second lets expect, and how far it is
-    usually while that changes; None where it follows too badly to say."""
-    lags = np.unique(np.round(np.array([0.0, 0.04, 0.08, 0.12, 0.18, 0.26]) / period).astype(int))
-    rows = np.arange(len(angle))
-    past = np.stack([target[np.maximum(rows - lag, 0)] for lag in lags], axis=1)
-    causes = np.column_stack([past, np.ones(len(angle)), target**2])
-    moved = np.ptp(past, axis=1) > _MOVED
-    if moved.sum() < 50 or not np.isfinite(causes).all():  # what overflows is refused by its bound
-        return None
-    kept, off = np.ones(len(angle), bool), np.ones(len(angle))
-    for _ in range(12):  # least absolute deviations, then least squares of what is near
-        weight = 1 / np.sqrt(np.maximum(off, 0.003))[:, None]
-        off = np.abs(angle - causes @ fitted(causes * weight, angle * weight[:, 0]))
-    for _ in range(4):
-        kept = off <= max(4 * float(np.median(off[moved])), 0.003)
-        off = np.abs(angle - causes @ fitted(causes[kept], angle[kept]))
-    off[: lags[-1]] = 0.0  # what was commanded before is not known
-    usual = float(np.quantile(off[kept & moved], 0.98))
-    return (off, usual) if 2 * (kept & moved).sum() > moved.sum() and usual < 0.15 * np.ptp(target) else None
+def _recent(values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest of a row's values and those of so many rows before [row, joint]."""
+    before = np.pad(values, ((rows, 0), (0, 0)), "edge")
+    windows = np.lib.stride_tricks.sliding_window_view(before, rows + 1, axis=0)
+    return windows.min(-1), windows.max(-1)
+
+
+def _let_go(off: np.ndarray, moved: np.ndarray, rows: int, past: int) -> tuple[list[tuple[int, int, float]], float]:
+    """Where a joint that is so far off [row], and then moves by so much, is not pulled back, and much further off than
+    otherwise: first row, the row behind, and how far off, of each time; and how far it is off otherwise."""
+    windows, nearer = (np.lib.stride_tricks.sliding_window_view(x, rows) for x in (off, -moved * np.sign(off)))
+    least = np.minimum(_PULLS * np.abs(windows).mean(1), _SPEEDS * np.quantile(np.abs(moved), 0.98))
+    stays = np.where(nearer.mean(1) < least, np.maximum(windows.min(1), -windows.max(1)), 0.0)
+    # a target that passes by a joint that hangs, and the way back, belong to it
+    near, away, found = maximum_filter1d(np.abs(off), 2 * past + 1), np.zeros(len(off), bool), []
+    while (most := float(stays.max())) > _FAR:
+        first, end = _around(near > most / 6, int(stays.argmax()))
+        found.append((first, end, most))
+        away[first:end], stays[max(first - rows + 1, 0) : end] = True, 0.0
+    usual = np.inf if 2 * away.sum() > len(off) else float(np.quantile(np.abs(off[~away]), 0.98))
+    return sorted(one for one in found if one[2] > _TIMES * usual), usual
 
 
 @check("position without its command", unless=("position against command", "two clocks", "stands still", "lets go"))

@@ -63,7 +63,10 @@ def stands_still(view: View) -> Iterator[LogFinding]:
     if rows:
         yield from _dead(view)
         yield from _stops(view, rows)
-        yield from _commands_stop(view)
+        for joint, (first, last, moved) in commands_stop(view).items():
+            problem = f"the target does not change for {last - first} rows, while the joint goes on by {moved:.3g} rad"
+            remedy = "record what was sent, or cut the log here; look for a torque that was off"
+            yield view.found(WARNING, (COMMAND, joint), problem, remedy, first, last)
         for _, joint, velocity in view.columns(VELOCITY):
             yield from _velocity_stands(view, joint, velocity, rows)
         switch = view.get(("command", "torque_enable"))
@@ -90,11 +93,11 @@ def _follows(view: View, joint: int, rows: np.ndarray) -> bool:
     return after > SURE and 1 - after < 0.5 * (1 - before) and 0.5 < np.ptp(angle) / np.ptp(told) < 2
 
 
-def _commands_stop(view: View) -> Iterator[LogFinding]:
-    """A target does not change any more, and its joint goes on as before: what was sent was not recorded."""
-    stopped = np.diff(view.command, axis=0) == 0
+def commands_stop(view: View) -> dict[int, tuple[int, int, float]]:
+    """Joints whose targets do not change any more, and that go on as before: first row, last row, and how far [rad]."""
+    stopped, found = np.diff(view.command, axis=0) == 0, {}
     told, error = np.ptp(view.command, axis=0), np.abs(view.position - view.command)
-    for joint in np.flatnonzero(told > 0.1):
+    for joint in np.flatnonzero(told > 0.1).tolist():
         first, length = longest_run(stopped[:, joint])
         last = first + length
         settled = slice(first + round(_SETTLES / view.interval), last + 1)
@@ -105,9 +108,8 @@ def _commands_stop(view: View) -> Iterator[LogFinding]:
         # where it is told again, it is told to be where it is
         resumes = last + 1 < len(error) and error[last, joint] > 4 * max(error[[first, last + 1], joint])
         if moved > 0.1 and (goes_on or resumes):
-            problem = f"the target does not change for {length} rows, while the joint goes on by {moved:.3g} rad"
-            remedy = "record what was sent, or cut the log here"
-            yield view.found(WARNING, (COMMAND, joint), problem, remedy, first, last)
+            found[joint] = first, last, moved
+    return found
 
 
 def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Iterator[LogFinding]:
