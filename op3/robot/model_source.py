@@ -11,7 +11,7 @@ Tendons, other equalities, sensors and keyframes are not used.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,6 +89,7 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
     for mesh in spec.meshes:
         if "package:" in mesh.file:
             mesh.file = str(_of_package(mesh.file, path))
+    _rename_joints(spec)
     slides = _drive_slides(spec, content)
     followed = _followed(spec, content, slides)
     parts = tuple(part for part in _parts(spec, content, followed) if part.names)
@@ -118,6 +119,17 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
     return ModelSource(spec, followed, parts)
 
 
+def _rename_joints(spec: mujoco.MjSpec) -> None:
+    """Give joints whose names could not be columns of a log, with blanks or a digit at first, names that can."""
+    for joint in spec.joints:
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", re.sub(r"^(?=[\d-])", "joint_", joint.name))
+        if name == joint.name or spec.joint(name) is not None:
+            continue
+        for equality in spec.equalities:
+            equality.name1, equality.name2 = (name if n == joint.name else n for n in (equality.name1, equality.name2))
+        joint.name = name
+
+
 def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
     """Add a hinge of the same name for each slide that a servo moves; the slide follows it by a ratio [m/rad]."""
     travels = {name: entry.travel for name, entry in content.joints.items() if entry.travel}
@@ -143,7 +155,7 @@ def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, floa
         name: (one.joint, one.ratio, one.offset) if (one := entry.coupled) else (None, 0.0, entry.held or 0.0)
         for name, entry in told.items()
     }
-    for name, coupling in _mimics(spec).items():
+    for name, coupling in _mimics(spec, content.joints).items():
         if name not in content.joints and name not in content.unpowered and coupling[0] in content.joints:
             found[name] = coupling
     for name, (driver, ratio, offset) in found.items():
@@ -151,10 +163,20 @@ def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, floa
     return found | {slide_of(name): (name, travel, 0.0) for name, travel in slides.items()}
 
 
-def _mimics(spec: mujoco.MjSpec) -> dict[str, tuple[str, float, float]]:
-    """Couplings from equalities of two joints in an MJCF, to which MuJoCo also converts a URDF's `mimic`."""
-    linear = (e for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_JOINT and e.name2 and not np.any(e.data[2:5]))
-    return {one.name1: (one.name2, float(one.data[1]), float(one.data[0])) for one in linear}
+def _mimics(spec: mujoco.MjSpec, powered: Container[str]) -> dict[str, tuple[str, float, float]]:
+    """Couplings from equalities of two joints in an MJCF, to which MuJoCo also converts a URDF's `mimic`.
+
+    Of the two joints the one with a servo drives the other.
+    """
+    found = {}
+    for one in spec.equalities:
+        if one.type == mujoco.mjtEq.mjEQ_JOINT and one.name2 and not np.any(one.data[2:5]):
+            offset, ratio = (float(x) for x in one.data[:2])
+            if one.name1 in powered and one.name2 not in powered and ratio:
+                found[one.name2] = one.name1, 1 / ratio, -offset / ratio
+            else:
+                found[one.name1] = one.name2, ratio, offset
+    return found
 
 
 def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Iterator[Part]:
@@ -172,10 +194,12 @@ def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Itera
     yield Part("springs", tuple(joint.name for joint in driven if np.any(joint.stiffness)), IGNORED)
     yield Part("compensation of gravity", tuple(body.name for body in spec.bodies if body.gravcomp), IGNORED)
     yield Part("tendons", tuple(tendon.name or "one without a name" for tendon in spec.tendons), IGNORED)
-    own = {name: coupling[0] for name, coupling in _mimics(spec).items() if name in content.joints}
+    own = {name: coupling[0] for name, coupling in _mimics(spec, content.joints).items() if name in content.joints}
     yield Part("coupling", tuple(f"{n} to {driver}" for n, driver in own.items()), f"{IGNORED}: it has its own servo")
     told = {*own, *(name for name, (driver, *_) in followed.items() if driver)}
-    others = (one for one in spec.equalities if one.type != mujoco.mjtEq.mjEQ_JOINT or one.name1 not in told)
+    others = (
+        one for one in spec.equalities if one.type != mujoco.mjtEq.mjEQ_JOINT or told.isdisjoint((one.name1, one.name2))
+    )
     named = (one.name or " and ".join(filter(None, (one.name1, one.name2))) for one in others)
     yield Part("equalities", tuple(named), IGNORED)
     yield Part("coupling", tuple(f"{n} to {driver}" for n, (driver, *_) in followed.items() if driver), USED)

@@ -40,6 +40,7 @@ def hand(folder: Path, joints: str, equality: str = "", more: str = "", limits: 
 
 HINGE = '<joint name="finger" axis="0 1 0" range="-1 1" stiffness="0.2" damping="0.01"/>'
 SLIDE = '<joint name="finger" type="slide" axis="0 0 1" range="-0.05 0.05"/>'
+MIMICKED = '<joint joint1="elbow" joint2="finger" polycoef="0.2 -2 0 0 0"/>'
 MIMIC = '<joint joint1="finger" joint2="elbow" polycoef="0.1 -0.5 0 0 0"/>'
 
 
@@ -80,11 +81,13 @@ def test_a_servo_moves_a_slide_by_its_travel(tmp_path):
         ("  finger: {coupled: {joint: elbow, ratio: 0.02}}\n", "", SLIDE, {"finger": ("elbow", 0.02, 0.0)}),
         ("  finger: {held: 0.02}\n", "", SLIDE, {"finger": (None, 0.0, 0.02)}),
         ("", MIMIC, HINGE, {"finger": ("elbow", -0.5, 0.1)}),
+        ("", MIMICKED, HINGE, {"finger": ("elbow", -0.5, 0.1)}),
+        ("", MIMIC.replace("finger", "1 x"), HINGE.replace("finger", "1 x"), {"joint_1_x": ("elbow", -0.5, 0.1)}),
     ],
-    ids=["passive", "coupled", "slide", "held", "mimic"],
+    ids=["passive", "coupled", "slide", "held", "mimic", "mimicked", "renamed"],
 )
 def test_a_joint_without_a_servo_moves_as_its_kind(tmp_path, joints, equality, finger, followed):
-    """In the model: no servo, no entry in logs; what follows another joint stays with it."""
+    """In the model: no servo, no entry in logs; what follows another joint stays with it, under a name of letters."""
     robot = hand(tmp_path, joints, equality, finger)
     assert robot.joints == ("shoulder", "elbow")
     assert robot.followed == followed
