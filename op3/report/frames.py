@@ -67,6 +67,8 @@ def draw_frames(
     Raises:
         RenderError: if no driver draws.
     """
+    if not shapes(model):
+        raise RenderError("the links of the robot have no shapes, which a picture could show")
     robots, said = np.asarray(qpos, dtype=np.float64), []
     with tempfile.TemporaryDirectory(prefix="op3-frames-") as folder:
         place = Path(folder)
@@ -99,12 +101,17 @@ def _attempt(place: Path, backend: str) -> str | None:
     return lines[-1][:100] if lines else f"exit code {done.returncode}"
 
 
+def shapes(model: mujoco.MjModel) -> list[int]:
+    """Geoms of the robot that has the first joint."""
+    own = model.body_rootid[model.jnt_bodyid[0]]
+    return [i for i in range(model.ngeom) if model.body_rootid[model.geom_bodyid[i]] == own]
+
+
 def camera_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjvCamera:
     """A camera that has what moves in view, as it stands now."""
     camera = mujoco.MjvCamera()
     camera.azimuth, camera.elevation = 140.0, -12.0
-    own = model.body_rootid[model.jnt_bodyid[0]]
-    geoms = [i for i in range(model.ngeom) if model.body_rootid[model.geom_bodyid[i]] == own]
+    geoms = shapes(model)
     places, reach = data.geom_xpos[geoms], model.geom_rbound[geoms, None]
     low, high = (places - reach).min(0), (places + reach).max(0)
     camera.lookat[:] = (low + high) / 2

@@ -27,8 +27,12 @@ _LETS_GO = 0.14
 _RECENT = (0.12, 0.25)
 """A joint that follows is between the least and the largest of the targets of so long, quick or slow as it is [s]."""
 
-_FAR, _TIMES = 0.08, 3.0
-"""One that stays beyond them by less is not told [rad], or by fewer times as much as it is beyond them otherwise."""
+_FAR, _TIMES, _CARRIED = 0.1, 3.0, 2.5
+"""One that stays beyond them by less is not told [rad], nor one that comes as far by fewer times as much as otherwise.
+Nor one that moves by so many times as much on its way there: it follows, and yields to what it carries."""
+
+_PUSHES = 0.3
+"""A servo that gives so much of its usual current or duty has not let go, but friction or an obstacle holds it."""
 
 _PULLS, _SPEEDS, _WITHIN = 0.15, 0.25, 0.1
 """A joint that is driven comes nearer to its targets by this share of its distance, or of what it moves at its fastest,
@@ -38,7 +42,8 @@ within this time [s] at least."""
 @check("lets go", unless=("position against command", "two clocks", "time jumps", "stale readings"))
 def lets_go(view: View) -> Iterator[LogFinding]:
     """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
-    not pulled towards them, much further off than at other times, while the other joints are not."""
+    not pulled towards them, much further off than at other times. Without a current it is not told within 0.1 rad of
+    its recent targets, nor where it moves the others as well, nor of a lone servo, which friction may hold."""
     if len(view.time) < 50 or view.metadata.fallen:
         return
     told: set[int] = set()
@@ -88,30 +93,34 @@ def _around(rows: np.ndarray, row: int) -> tuple[int, int]:
 def _astray(view: View, told: set[int]) -> Iterator[LogFinding]:
     stride = max(1, round(_PERIOD / view.interval))
     angle, target, period = view.position[::stride], view.command[::stride], stride * view.interval
-    if len(angle) < 50 or period > 2 * _PERIOD:
-        return
+    if len(angle) < 50 or period > 2 * _PERIOD or len(view.joints) == 1:
+        return  # friction holds a lone servo with a low gain as far, and no other joint says that it should go on
+    most_shaken = len(view.joints) / 2 if view.metadata.mount in HOLDING else 1
+    drives = [view.get(CURRENT), view.get(("joint", "duty"))]
     ahead, rows = (max(2, round(time / period)) for time in (_WITHIN, _LETS_GO))
-    moved, driven = angle[ahead:] - angle[:-ahead], view.driven[::stride]
+    driven = view.driven[::stride]
     for recent in _RECENT:
         past = max(1, round(recent / period))
         (least, most), (switched, _) = _recent(target, past), _recent(driven, past)
-        mean = angle - np.median(angle - target, axis=0)  # another zero is another check's
+        # another zero is another check's
+        error = np.where(switched | ~switched.any(0), angle - target, np.nan)
+        mean = angle - np.nanmedian(error, axis=0)
         off = np.where(switched, mean - np.clip(mean, least, most), 0.0)
         for joint in (j for j in range(len(view.joints)) if j not in told):
-            found, usual = _let_go(off[:-ahead, joint], moved[:, joint], rows, past)
+            found, usual = _let_go(angle[:, joint], off[:, joint], switched[:, joint], ahead, rows, past)
             if not found:
                 continue
             first, end, far = found[0]
-            others = np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 2
-            if 2 * others.sum() >= max(len(others), 1):
-                continue  # something moved all of them
+            given = [np.abs(values[::stride, joint]) for values in drives if values is not None]
+            if any(size[first:end].mean() > _PUSHES * size.mean() for size in given):
+                continue
+            if (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken:
+                continue  # a push, or on its feet the weight
             told.add(joint)
             more = f" and {len(found) - 1} times more" if len(found) > 1 else ""
             problem = f"the joint stays {far:.2g} rad beyond all its targets of {recent} s, for "
-            problem += (
-                f"{(end - first) * period:.2g} s{more}, and {usual:.2g} rad otherwise: its torque was off, or it "
-            )
-            problem += "was blocked"
+            problem += f"{(end - first) * period:.2g} s{more}, and {usual:.2g} rad otherwise: "
+            problem += "its torque was off, or it was blocked"
             last = min((end - 1) * stride, len(view.time) - 1)
             yield view.found(WARNING, (POSITION, joint), problem, _LEAVE, first * stride, last)
 
@@ -123,20 +132,27 @@ def _recent(values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
     return windows.min(-1), windows.max(-1)
 
 
-def _let_go(off: np.ndarray, moved: np.ndarray, rows: int, past: int) -> tuple[list[tuple[int, int, float]], float]:
-    """Where a joint that is so far off [row], and then moves by so much, is not pulled back, and much further off than
-    otherwise: first row, the row behind, and how far off, of each time; and how far it is off otherwise."""
-    windows, nearer = (np.lib.stride_tricks.sliding_window_view(x, rows) for x in (off, -moved * np.sign(off)))
+def _let_go(
+    angle: np.ndarray, off: np.ndarray, driven: np.ndarray, ahead: int, rows: int, past: int
+) -> tuple[list[tuple[int, int, float]], float]:
+    """Where a joint that is so far off [row] is not pulled back in the next rows, and much further off than otherwise:
+    first row, the row behind, and how far off, of each time; and how far it is off otherwise."""
+    moved = angle[ahead:] - angle[:-ahead]
+    windows, nearer = (np.lib.stride_tricks.sliding_window_view(x[: len(moved)], rows) for x in (off, -np.sign(off)))
+    nearer = (nearer * np.lib.stride_tricks.sliding_window_view(moved, rows)).mean(1)
     least = np.minimum(_PULLS * np.abs(windows).mean(1), _SPEEDS * np.quantile(np.abs(moved), 0.98))
-    stays = np.where(nearer.mean(1) < least, np.maximum(windows.min(1), -windows.max(1)), 0.0)
+    stays = np.where(nearer < least, np.maximum(windows.min(1), -windows.max(1)), 0.0)
     # a target that passes by a joint that hangs, and the way back, belong to it
     near, away, found = maximum_filter1d(np.abs(off), 2 * past + 1), np.zeros(len(off), bool), []
     while (most := float(stays.max())) > _FAR:
         first, end = _around(near > most / 6, int(stays.argmax()))
-        found.append((first, end, most))
+        worst = first + int(np.abs(off[first:end]).argmax())
+        found.append((first, end, float(np.abs(off[worst])), float(np.ptp(angle[first : worst + 1]))))
         away[first:end], stays[max(first - rows + 1, 0) : end] = True, 0.0
-    usual = np.inf if 2 * away.sum() > len(off) else float(np.quantile(np.abs(off[~away]), 0.98))
-    return sorted(one for one in found if one[2] > _TIMES * usual), usual
+    rest = np.abs(off[driven & ~away])
+    usual = np.inf if 2 * len(rest) < driven.sum() or not found else float(np.quantile(rest, 0.98))
+    sure = [one for one in found if one[2] > _TIMES * usual and one[3] < _CARRIED * one[2]]
+    return sorted(one[:3] for one in sure), usual
 
 
 @check("position without its command", unless=("position against command", "two clocks", "stands still", "lets go"))
