@@ -112,7 +112,7 @@ def _astray(view: View, told: set[int]) -> Iterator[LogFinding]:
                 continue
             first, end, far = found[0]
             given = [np.abs(values[::stride, joint]) for values in drives if values is not None]
-            if any(size[first:end].mean() > _PUSHES * size.mean() for size in given):
+            if any(np.median(size[first:end]) > _PUSHES * np.median(size) for size in given):
                 continue
             if (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken:
                 continue  # a push, or on its feet the weight
