@@ -98,7 +98,7 @@ IMPORTS = [
     Import("ros_sim_time_half_speed", "", ARM, silent=True),
     Import("ros_sim_time_half_speed_vel", "", ARM, ("joint/velocity",), silent=True),
     Import("ros_trajectory_single_points", "", {"shoulder_pan": 0.347, "wrist_roll": 0.445}, silent=True),
-    Import("ros_two_publishers_zero", "", ARM, ("two publishers write it; these are zeros and left out",), silent=True),
+    Import("ros_two_publishers_zero", "", ARM, ("these are zeros and are ignored",), silent=True),
 ]
 
 

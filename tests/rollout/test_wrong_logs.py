@@ -688,7 +688,7 @@ def test_split(tmp_path, change):
 def test_a_folder_of_ours_takes_no_options(tmp_path):
     """They would be passed over without a word."""
     bench_log().save(tmp_path / "a")
-    with pytest.raises(LogError, match="a rollout folder is read as it is, and unwrap changes nothing"):
+    with pytest.raises(LogError, match="a rollout folder is read unchanged, and unwrap does not apply to it"):
         read_episodes(tmp_path / "a", {"unwrap": True, "shift": None})
 
 
