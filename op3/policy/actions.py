@@ -117,13 +117,9 @@ class ActionMap:
         """
         joints = robot.controlled if joints is None else joints
         places = robot.indices(joints)
-        stand, (low, high) = robot.home[places], robot.limits[places].T
-        return cls(
-            tuple(joints),
-            tuple(round(float(value), 9) for value in np.clip(stand - span, low, high)),
-            tuple(round(float(value), 9) for value in np.clip(stand + span, low, high)),
-            robot=robot.reference,
-        )
+        stand, limits = robot.home[places], robot.limits[places].T
+        lowest, highest = (np.clip(np.round(stand + side, 9), *limits).tolist() for side in (-span, span))
+        return cls(tuple(joints), tuple(lowest), tuple(highest), robot=robot.reference)
 
     @property
     def span(self) -> float:

@@ -1,5 +1,6 @@
 """What an action commands."""
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -56,6 +57,18 @@ def test_torch_equals_numpy(action):
         np.testing.assert_allclose(theirs.numpy(), ours, atol=1e-15)
     back = MAP.action(*MAP.targets(torch.from_numpy(action)))
     np.testing.assert_allclose(back.numpy(), action, atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [140.0, 150.0])
+def test_limits_of_any_digits_can_be_reached(degrees):
+    """150 degrees are 2.617993878 rad when rounded up to nine digits, which is beyond the limit."""
+    robot, limit = load_robot("arm"), np.deg2rad(degrees)
+    limited = copy.copy(robot)
+    limited.limits = np.full_like(robot.limits, limit) * (-1, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("op3.policy.actions.load_robot", lambda _: limited)
+        wide = ActionMap.around_stand(limited, span=4.0)
+    assert wide.position_high == (limit,) * 6 and wide.position_low == (-limit,) * 6
 
 
 def test_wide_spans_are_clipped_to_the_soft_limits():
