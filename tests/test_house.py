@@ -1,7 +1,9 @@
-"""The house: no import circles, no name twice, and the OP3's names in two files."""
+"""The house: no import circles, no name twice, no robot read by an import, and the OP3's names in few files."""
 
 import ast
 import re
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,3 +55,25 @@ def test_the_op3_is_data():
     names = "|".join(load_robot("op3").joints)
     nailed = rf"\b({names})\b|op3_motions|op3_suites"
     assert len([path for path in FILES.values() if re.search(nailed, path.read_text())]) <= 5
+
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+import op3
+
+opened = []
+sys.addaudithook(lambda event, arguments: event == "open" and opened.append(str(arguments[0])))
+for module in pkgutil.walk_packages(op3.__path__, "op3."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+assert len(sys.modules) > 1000 and len(opened) > 1000
+assets = [path for path in opened if "/assets/" in path]
+print(*[path for path in assets if "/assets/servos/" not in path and "/assets/buses/" not in path])
+"""
+
+
+def test_no_import_reads_a_robot():
+    """With every module imported, no robot file, model or scene has been opened; makes of servos and buses are."""
+    done = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []

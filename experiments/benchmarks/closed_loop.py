@@ -28,7 +28,7 @@ from op3.diagnose.base import settle
 from op3.diagnose.findings import Search
 from op3.diagnose.naming import NamingStage, Proposal
 from op3.motions import Excitation, Motion, leg_suite
-from op3.motions.op3_suites import LEG_JOINTS
+from op3.motions.op3_suites import leg_joints
 from op3.replay.windows import WindowResiduals
 from op3.robot import DEFAULT, load_robot
 from op3.rollout import Rollout
@@ -49,7 +49,7 @@ def arm_suite(seed: int) -> list[Excitation]:
     known = load_robot(DEFAULT)
     at = known.indices(ARM)
     home, limits = known.home[at], known.limits[at]
-    columns = [LEG_JOINTS.index(name) for name in ("r_hip_pitch", "r_hip_roll", "r_knee")]
+    columns = [leg_joints().index(name) for name in ("r_hip_pitch", "r_hip_roll", "r_knee")]
     runs = []
     for run in leg_suite(seed):
         away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)

@@ -8,12 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.motions.excitations import RATE, fade, levels_over_time
 from op3.motions.motion import D_GAIN, P_GAIN, Motion, sample_times
-from op3.robot.robot import load_robot
+from op3.robot.robot import Robot, load_robot
 
 Array = NDArray[np.float64]
-
-OP3 = load_robot("op3")
-"""The robot of this file."""
 
 SQUAT_KNEE_LOW = 1.47
 """Knee angle at the bottom of the paper's squat [rad]."""
@@ -34,6 +31,11 @@ SHIN = 0.11
 """Knee axis to ankle pitch axis [m]."""
 
 
+def op3_robot() -> Robot:
+    """The robot of this file, read when a motion is made."""
+    return load_robot("op3")
+
+
 def squat_position(knee: ArrayLike, lean: float = SQUAT_LEAN) -> Array:
     """Whole-body angles [..., joint] in rad of a squat at a knee angle [...], the rest at home.
 
@@ -42,7 +44,7 @@ def squat_position(knee: ArrayLike, lean: float = SQUAT_LEAN) -> Array:
     knee = np.asarray(knee, dtype=float)
     length = np.sqrt(THIGH**2 + SHIN**2 + 2 * THIGH * SHIN * np.cos(knee))
     angles = leg_angles(np.stack([0 * length, 0 * length, -length], -1), lean)
-    return OP3.completed({f"l_{name}": angles[name] for name in ("hip_pitch", "knee", "ank_pitch")})
+    return op3_robot().completed({f"l_{name}": angles[name] for name in ("hip_pitch", "knee", "ank_pitch")})
 
 
 def squat(
@@ -70,7 +72,7 @@ def squat(
     time = sample_times(duration, rate)
     crouch = (1 + np.cos(2 * np.pi * frequency * time)) / 2
     return Motion(
-        time, squat_position(knee_high + (knee_low - knee_high) * crouch, lean), name=name, robot=OP3.reference
+        time, squat_position(knee_high + (knee_low - knee_high) * crouch, lean), name=name, robot=op3_robot().reference
     )
 
 
@@ -93,7 +95,11 @@ def push_down(
     """
     knee = levels_over_time(knees, ramp, rest)
     return Motion(
-        np.arange(len(knee)) / RATE, squat_position(knee, lean), name=name, mounts=("floor",), robot=OP3.reference
+        np.arange(len(knee)) / RATE,
+        squat_position(knee, lean),
+        name=name,
+        mounts=("floor",),
+        robot=op3_robot().reference,
     )
 
 
@@ -109,10 +115,10 @@ def sway(
         around: pose in the middle.
     """
     time = sample_times(duration, RATE)
-    position = np.tile(OP3.pose(around), (len(time), 1))
-    rolls = OP3.indices(["l_hip_roll", "r_hip_roll", "l_ank_roll", "r_ank_roll"])
+    position = np.tile(op3_robot().pose(around), (len(time), 1))
+    rolls = op3_robot().indices(["l_hip_roll", "r_hip_roll", "l_ank_roll", "r_ank_roll"])
     position[:, rolls] += amplitude * (np.sin(2 * np.pi * frequency * time) * fade(time))[:, None]
-    return Motion(time, position, name=name, mounts=("floor",), robot=OP3.reference)
+    return Motion(time, position, name=name, mounts=("floor",), robot=op3_robot().reference)
 
 
 def soften(
@@ -140,7 +146,7 @@ def soften(
     fall = (1 - np.cos(2 * np.pi * np.minimum(time, cycles * period) / period)) / 2
     position = np.tile(squat_position(knee, lean), (len(time), 1))
     gain = P_GAIN * (p_gain / P_GAIN) ** fall
-    return Motion(time, position, name=name, mounts=("floor",), p_gain=gain, d_gain=D_GAIN, robot=OP3.reference)
+    return Motion(time, position, name=name, mounts=("floor",), p_gain=gain, d_gain=D_GAIN, robot=op3_robot().reference)
 
 
 @dataclass(frozen=True)
@@ -182,7 +188,7 @@ class SinusoidalGait:
     def motion(self, duration: float, rate: float = RATE) -> Motion:
         """The walk as targets of all joints, for a duration [s] at a rate [Hz]."""
         time = np.arange(round(duration * rate)) / rate
-        return Motion(time, self.targets(time), name="sinusoidal_gait", robot=OP3.reference)
+        return Motion(time, self.targets(time), name="sinusoidal_gait", robot=op3_robot().reference)
 
     def targets(self, time: Array) -> Array:
         """Targets of all joints [time, joint] in rad at times [time] in s since the start.
@@ -190,14 +196,14 @@ class SinusoidalGait:
         Arms and head stay at home, and the motion grows from nothing in two cycles.
         """
         grown = np.clip(time / (2 * self.period), 0.0, 1.0)
-        position = np.tile(OP3.home, (len(time), 1))
+        position = np.tile(op3_robot().home, (len(time), 1))
         for side, prefix in ((1, "l"), (-1, "r")):
             feet, lift = self._foot(time, side, grown)
             angles = leg_angles(feet, self.lean)
             angles["hip_roll"] = angles["hip_roll"] - self.pelvis * lift
             for name, angle in angles.items():
                 # the right leg is the left one's mirror image, whose angles have the other sign
-                position[:, OP3.indices([f"{prefix}_{name}"])[0]] = side * angle
+                position[:, op3_robot().indices([f"{prefix}_{name}"])[0]] = side * angle
         return position
 
     def _foot(self, time: Array, side: int, grown: Array) -> tuple[Array, Array]:

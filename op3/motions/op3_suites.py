@@ -18,16 +18,10 @@ from numpy.typing import NDArray
 
 from op3.motions.excitations import RATE
 from op3.motions.motion import Motion
-from op3.motions.op3_motions import OP3, squat_position
+from op3.motions.op3_motions import op3_robot, squat_position
 
-LEG_JOINTS = OP3.legs[1]
-"""The six servo joints of the right leg, from the trunk outwards: hip yaw, roll and pitch, knee, ankle pitch, roll."""
-
-ARM_JOINTS = (*OP3.limbs[1], *OP3.limbs[2])
-"""The joints of both arms."""
-
-KNEE = 3
-"""Place of the knee among the joints of a leg."""
+JOINTS_PER_LEG, KNEE = 6, 3
+"""How many joints a leg has, and the place of the knee among them."""
 
 RUN_DURATION = 4.0
 """Length of one run [s]."""
@@ -45,6 +39,16 @@ OTHER_LEG = 500_000
 """What is added to the seed for the left leg."""
 
 Array = NDArray[np.float64]
+
+
+def leg_joints() -> tuple[str, ...]:
+    """The servo joints of the right leg, from the trunk outwards: hip yaw, roll and pitch, knee, ankle pitch, roll."""
+    return op3_robot().legs[1]
+
+
+def arm_joints() -> tuple[str, ...]:
+    """The joints of both arms."""
+    return *op3_robot().limbs[1], *op3_robot().limbs[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,16 +150,16 @@ def _both(right: list[Excitation], left: list[Excitation], seed: int) -> list[Ex
 
 
 def _whole(right: Motion, left: Motion, seed: int) -> Motion:
-    time = right.time
-    position = np.tile(OP3.home, (len(time), 1))
-    position[:, OP3.indices(LEG_JOINTS)] = left.position
-    position = OP3.mirrored(position)
-    position[:, OP3.indices(LEG_JOINTS)] = right.position
-    upper = [joint for joint in OP3.joints if not any(joint in leg for leg in OP3.legs)]
+    time, robot = right.time, op3_robot()
+    position = np.tile(robot.home, (len(time), 1))
+    position[:, robot.indices(robot.legs[1])] = left.position
+    position = robot.mirrored(position)
+    position[:, robot.indices(robot.legs[1])] = right.position
+    upper = [joint for joint in robot.joints if not any(joint in leg for leg in robot.legs)]
     rng = np.random.default_rng([seed, 22, zlib.crc32(right.name.encode())])
-    position[:, OP3.indices(upper)] += _sway(time, rng, len(upper))
-    low, high = OP3.limits.T
-    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name, robot=OP3.reference)
+    position[:, robot.indices(upper)] += _sway(time, rng, len(upper))
+    low, high = robot.limits.T
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), name=right.name, robot=robot.reference)
 
 
 def _sway(time: Array, rng: np.random.Generator, count: int) -> Array:
@@ -167,29 +171,29 @@ def _sway(time: Array, rng: np.random.Generator, count: int) -> Array:
 
 
 def _motion(time: Array, position: Array, name: str) -> Motion:
-    low, high = OP3.limits[OP3.indices(LEG_JOINTS)].T
-    return Motion(time, np.clip(position, low + 0.01, high - 0.01), LEG_JOINTS, name, robot=OP3.reference)
+    low, high = op3_robot().limits[op3_robot().indices(leg_joints())].T
+    return Motion(time, np.clip(position, low + 0.01, high - 0.01), leg_joints(), name, robot=op3_robot().reference)
 
 
 def _centre() -> Array:
     """The leg bent as at home [joint]."""
-    return OP3.home[OP3.indices(LEG_JOINTS)]
+    return op3_robot().home[op3_robot().indices(leg_joints())]
 
 
 def _triangles(time: Array, rng: np.random.Generator, shift: float) -> Array:
     """Each joint goes back and forth at one slow speed; `shift` moves the speeds along the leg."""
     rates = np.roll(SLOW_RATES, int(shift))
-    period = rng.uniform(1.6, 2.6, len(LEG_JOINTS))
-    phase = time[:, None] / period + rng.uniform(0, 1, len(LEG_JOINTS))
+    period = rng.uniform(1.6, 2.6, JOINTS_PER_LEG)
+    phase = time[:, None] / period + rng.uniform(0, 1, JOINTS_PER_LEG)
     wave = 2 * np.abs(2 * (phase % 1) - 1) - 1
-    return _centre() + rng.uniform(-0.25, 0.25, len(LEG_JOINTS)) + rates * period / 4 * wave
+    return _centre() + rng.uniform(-0.25, 0.25, JOINTS_PER_LEG) + rates * period / 4 * wave
 
 
 def _multisine(time: Array, rng: np.random.Generator, scale: float) -> Array:
     """Eight sines per joint between 0.25 and 6 Hz, whose amplitude falls with frequency."""
-    frequency = np.geomspace(0.25, 6.0, 8)[:, None] * rng.uniform(0.85, 1.15, (8, len(LEG_JOINTS)))
+    frequency = np.geomspace(0.25, 6.0, 8)[:, None] * rng.uniform(0.85, 1.15, (8, JOINTS_PER_LEG))
     amplitude = 0.22 / (1 + frequency / 0.8)
-    phase = rng.uniform(0, 2 * np.pi, (8, len(LEG_JOINTS)))
+    phase = rng.uniform(0, 2 * np.pi, (8, JOINTS_PER_LEG))
     waves = amplitude * np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
     return _centre() + scale * waves.sum(1)
 
@@ -198,7 +202,7 @@ def _squat(time: Array, rng: np.random.Generator, scale: float) -> Array:
     """Knee bends with hip and ankle, and slow sways of the other joints."""
     frequency = rng.uniform(0.45, 0.8)
     knee = 1.05 - 0.45 * scale * np.cos(2 * np.pi * frequency * time)
-    position = squat_position(knee, 0.3)[:, OP3.indices(LEG_JOINTS)]
+    position = squat_position(knee, 0.3)[:, op3_robot().indices(leg_joints())]
     sway = rng.uniform(0.05, 0.2, 3) * np.sin(2 * np.pi * rng.uniform(0.3, 0.7, 3) * time[:, None] + [0.0, 1.0, 2.0])
     position[:, [0, 1, 5]] += sway
     return position
@@ -207,7 +211,7 @@ def _squat(time: Array, rng: np.random.Generator, scale: float) -> Array:
 def _steps(time: Array, rng: np.random.Generator, size: float) -> Array:
     """Jumps that ask for more current than the supply can give, at other times in each joint."""
     position = np.tile(_centre(), (len(time), 1))
-    for joint in range(len(LEG_JOINTS)):
+    for joint in range(JOINTS_PER_LEG):
         edges = np.cumsum(rng.uniform(0.35, 0.75, 12))
         level = np.concatenate([[0.0], size * rng.uniform(0.5, 1.0, 12) * np.tile([1, -1], 6)])
         position[:, joint] += level[np.searchsorted(edges, time)] * rng.choice([-1, 1])
@@ -216,10 +220,10 @@ def _steps(time: Array, rng: np.random.Generator, size: float) -> Array:
 
 def _holds(time: Array, rng: np.random.Generator) -> Array:
     """Two poses in which gravity loads the joints differently, held while the targets creep up and down."""
-    low = _centre() + rng.uniform(-0.15, 0.15, len(LEG_JOINTS))
-    high = low + np.array([0.3, 0.45, 0.55, -0.5, -0.4, 0.5]) * rng.uniform(0.8, 1.2, len(LEG_JOINTS))
+    low = _centre() + rng.uniform(-0.15, 0.15, JOINTS_PER_LEG)
+    high = low + np.array([0.3, 0.45, 0.55, -0.5, -0.4, 0.5]) * rng.uniform(0.8, 1.2, JOINTS_PER_LEG)
     share = np.clip((time - time[-1] / 2) / 0.3, -0.5, 0.5)[:, None] + 0.5
-    creep = 0.02 * np.abs(2 * ((time[:, None] / 1.7 + rng.uniform(0, 1, len(LEG_JOINTS))) % 1) - 1)
+    creep = 0.02 * np.abs(2 * ((time[:, None] / 1.7 + rng.uniform(0, 1, JOINTS_PER_LEG)) % 1) - 1)
     return low + share * (high - low) + creep
 
 

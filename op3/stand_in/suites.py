@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,7 +24,7 @@ from op3.motions import (
     squat,
     sway,
 )
-from op3.motions.op3_suites import ARM_JOINTS, KNEE, LEG_JOINTS
+from op3.motions.op3_suites import JOINTS_PER_LEG, KNEE, arm_joints, leg_joints
 from op3.robot import load_robot
 from op3.scenes import build_bench, build_scene
 from op3.scenes.scene import Scene
@@ -43,14 +43,14 @@ class Setting:
         rich: runs that show what its servos hide, from a seed.
         poor: runs with which many effects cannot be told apart.
         settle: how long the first target of a run is held before the recording starts [s].
-        metadata: what its logs say besides the usual.
+        metadata: makes what its logs say besides the usual.
     """
 
     scene: Callable[[], Scene]
     rich: Suite
     poor: Suite
     settle: float = 0.8
-    metadata: dict[str, Any] = field(default_factory=dict)
+    metadata: Callable[[], dict[str, Any]] = dict
 
 
 def floor_suite(seed: int) -> list[FloorExcitation]:
@@ -81,7 +81,9 @@ def floor_suite(seed: int) -> list[FloorExcitation]:
         return sway(float(draw(0.05, 0.09)), float(draw(0.3, 0.6)), 5.0, name=name)
 
     def arms(name: str) -> Motion:
-        return multisine({joint: float(draw(0.15, 0.4)) for joint in ARM_JOINTS}, duration=5.0, name=name, robot="op3")
+        return multisine(
+            {joint: float(draw(0.15, 0.4)) for joint in arm_joints()}, duration=5.0, name=name, robot="op3"
+        )
 
     def steps(name: str) -> Motion:
         gait = SinusoidalGait(period=float(draw(0.55, 0.7)), step=0.0, foot_height=float(draw(0.02, 0.035)))
@@ -127,7 +129,7 @@ def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Exc
     """
     known = load_robot(robot)
     room = np.minimum(known.home - known.limits[:, 0], known.limits[:, 1] - known.home)
-    columns = [(KNEE + number) % len(LEG_JOINTS) for number in range(len(room))]
+    columns = [(KNEE + number) % JOINTS_PER_LEG for number in range(len(room))]
     runs = []
     for run in (leg_walking if poor else leg_suite)(seed):
         away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)
@@ -143,12 +145,12 @@ SETTINGS: dict[str, Setting] = {
         partial(build_scene, "stand", "op3"), partial(robot_suite, duration=6.0), partial(robot_walking, duration=6.0)
     ),
     "floor": Setting(partial(build_scene, "floor", "op3"), floor_suite, floor_walking, 1.5),
-    "leg": Setting(partial(build_scene, "stand", "op3", joints=LEG_JOINTS), leg_suite, leg_walking),
+    "leg": Setting(lambda: build_scene("stand", "op3", joints=leg_joints()), leg_suite, leg_walking),
     "pendulum": Setting(
         build_bench,
         joint_suite,
         partial(joint_suite, poor=True),
-        metadata={name: one.default for name, one in load_robot("bench").file.parameters.items()},
+        metadata=lambda: {name: one.default for name, one in load_robot("bench").file.parameters.items()},
     ),
     "arm": Setting(
         partial(build_scene, "stand", "arm"),

@@ -68,7 +68,8 @@ def test_limits_of_any_digits_can_be_reached(degrees):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("op3.policy.actions.load_robot", lambda _: limited)
         wide = ActionMap.around_stand(limited, span=4.0)
-    assert wide.position_high == (limit,) * 6 and wide.position_low == (-limit,) * 6
+    assert wide.position_high == (limit,) * 6
+    assert wide.position_low == (-limit,) * 6
 
 
 def test_wide_spans_are_clipped_to_the_soft_limits():
