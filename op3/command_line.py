@@ -16,16 +16,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import NoReturn
 
-from op3.apps.command_help import (
-    COMMANDS,
-    PRESETS,
-    asked_for,
-    completion,
-    config_file,
-    names_in,
-    overview,
-    usage,
-)
+from op3.apps import COMMANDS
+from op3.apps.command_help import PRESETS, asked_for, completion, names_in, overview, usage
+from op3.common.assets import config_file
 from op3.common.private import CLAIMED, hide, masked, scrub_folder
 from op3.common.settings import nearest
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from op3.apps.command_help import COMMANDS, completion, overview, usage
+from op3.apps import COMMANDS
+from op3.apps.command_help import completion, overview, usage
 from op3.command_line import choices_of_resumed, main, quoted
 from tests.scripts import run_apart
 

@@ -14,8 +14,8 @@ import time
 import torch
 from hydra.utils import instantiate
 
+from op3.apps.compose import composed
 from op3.apps.fields import plain
-from op3.apps.job import composed
 from op3.apps.train import describe, learner, robots
 from op3.report import machine, run_provenance
 from op3.train import Practice, TrainSettings, train

@@ -10,3 +10,29 @@
 Each module has a function of its name for Python, and a `main` for Hydra behind ``op3 <command>`` and
 ``python experiments/<name>.py``. Both read the same config, ``conf/<name>.yaml``.
 """
+
+from collections.abc import Mapping
+
+COMMANDS: Mapping[str, str] = {
+    "demo": "sim2real",
+    "demo diagnose": "demo_diagnose",
+    "collect": "collect",
+    "check": "check",
+    "import": "import_log",
+    "identify": "identify",
+    "predict": "predict",
+    "export": "export",
+    "diagnose": "diagnose",
+    "design": "design_excitation",
+    "train": "train",
+    "evaluate": "evaluate",
+    "compliance": "compliance",
+    "deploy": "deploy",
+    "reidentify": "reidentify",
+    "sim2real": "sim2real",
+    "transfers": "transfer_table",
+    "view": "view",
+    "emulate": "emulate_robot",
+    "compare": "compare_runs",
+}
+"""Module in `op3.apps` and config of each command."""

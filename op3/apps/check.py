@@ -11,7 +11,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
-from op3.apps.support import output_folder
+from op3.apps.current_run import output_folder
 from op3.report.frames import RenderError
 from op3.report.robot_table import draw_robot, robot_table
 from op3.robot import load_robot

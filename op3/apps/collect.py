@@ -28,9 +28,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import configured, goes_on
+from op3.apps.compose import configured
+from op3.apps.current_run import by_name, output_folder
+from op3.apps.job import goes_on
 from op3.apps.progress import ProgressLine
-from op3.apps.support import ASKED, built, by_name, check_same, library_motion, output_folder, remember
+from op3.apps.support import ASKED, built, check_same, library_motion, remember
 from op3.common.settings import read_yaml
 from op3.deploy import Stop
 from op3.deploy.dynamixel_bus import Unplugged

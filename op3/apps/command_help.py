@@ -1,50 +1,17 @@
 """The overview of all commands, the help of each, and completion for bash."""
 
 import ast
-import importlib.resources
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-COMMANDS: Mapping[str, str] = {
-    "demo": "sim2real",
-    "demo diagnose": "demo_diagnose",
-    "collect": "collect",
-    "check": "check",
-    "import": "import_log",
-    "identify": "identify",
-    "predict": "predict",
-    "export": "export",
-    "diagnose": "diagnose",
-    "design": "design_excitation",
-    "train": "train",
-    "evaluate": "evaluate",
-    "compliance": "compliance",
-    "deploy": "deploy",
-    "reidentify": "reidentify",
-    "sim2real": "sim2real",
-    "transfers": "transfer_table",
-    "view": "view",
-    "emulate": "emulate_robot",
-    "compare": "compare_runs",
-}
-"""Module in `op3.apps` and config of each command."""
+from op3.apps import COMMANDS
+from op3.common.assets import conf_folder, config_file
 
 PRESETS: Mapping[str, Sequence[str]] = {
     "demo": ("source=emulated", "task=balance", "world=robot_4", "budget=demo"),
 }
 """Overrides that every run of a command starts with."""
-
-
-def files() -> Path:
-    """The folder that holds ``experiments/`` and ``conf/``: the checkout, or the part of an installed wheel."""
-    package = Path(str(importlib.resources.files("op3")))
-    return package / "_files" if (package / "_files").is_dir() else package.parent
-
-
-def config_file(config: str) -> Path:
-    """The file of a config, named as from ``conf/``."""
-    return files() / "conf" / f"{config}.yaml"
 
 
 def documentation(app: str) -> str:
@@ -119,7 +86,7 @@ def names_in(group: str) -> list[str]:
     from op3.identify.registration import register
 
     register()
-    names = [*ConfigStore.instance().repo.get(group, {}), *(files() / "conf" / group).glob("*.yaml")]
+    names = [*ConfigStore.instance().repo.get(group, {}), *(conf_folder() / group).glob("*.yaml")]
     return sorted({Path(name).stem for name in names})
 
 

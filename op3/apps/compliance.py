@@ -13,9 +13,9 @@ import torch
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
+from op3.apps.compose import configured
+from op3.apps.current_run import output_folder, provenance, reported
 from op3.apps.fields import plain
-from op3.apps.job import configured
-from op3.apps.support import output_folder, provenance, reported
 from op3.compliance.compare import difference
 from op3.compliance.compliance_study import Sizes, Study, contestants
 from op3.envs.actors import find_actor

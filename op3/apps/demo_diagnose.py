@@ -16,9 +16,9 @@ from omegaconf import DictConfig
 from threadpoolctl import threadpool_limits
 
 from op3.apps.command_result import CommandResult
+from op3.apps.current_run import output_folder
 from op3.apps.diagnose import diagnose
 from op3.apps.progress import ProgressLine
-from op3.apps.support import output_folder
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
 from op3.stand_in.suites import SETTINGS

@@ -16,8 +16,9 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import configured
-from op3.apps.support import output_folder, seeded_faults
+from op3.apps.compose import configured
+from op3.apps.current_run import output_folder
+from op3.apps.support import seeded_faults
 from op3.deploy import (
     Connection,
     ExitCode,

@@ -16,9 +16,10 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
+from op3.apps.compose import configured
+from op3.apps.current_run import output_folder, provenance, reported
 from op3.apps.fields import plain
-from op3.apps.job import configured
-from op3.apps.support import library_motion, output_folder, provenance, reported
+from op3.apps.support import library_motion
 from op3.common.assets import named_configs
 from op3.identify.design import PlannedRecording, check_choice, choose, information
 from op3.identify.identification import PREFIX

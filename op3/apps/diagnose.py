@@ -21,10 +21,11 @@ from omegaconf import DictConfig, OmegaConf
 from threadpoolctl import threadpool_limits
 
 from op3.apps.command_result import CommandResult
+from op3.apps.compose import configured
+from op3.apps.current_run import output_folder, reported, run_folder
 from op3.apps.fields import plain, whole
-from op3.apps.job import configured
 from op3.apps.progress import ProgressLine
-from op3.apps.support import library_motion, output_folder, reported, run_folder
+from op3.apps.support import library_motion
 from op3.diagnose import (
     Diagnosis,
     Settings,

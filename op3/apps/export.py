@@ -11,8 +11,8 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
+from op3.apps.current_run import output_folder
 from op3.apps.fields import plain
-from op3.apps.support import output_folder
 from op3.common.writing import write_text
 from op3.identify.prediction_score import predict_logs
 from op3.robot import load_robot

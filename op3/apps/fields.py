@@ -11,8 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from op3.apps.command_help import config_file
-from op3.common.assets import find_model, robot_file
+from op3.common.assets import config_file, find_model, robot_file
 from op3.common.settings import (
     GAIN_HIGH,
     Count,

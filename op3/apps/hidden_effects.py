@@ -17,8 +17,8 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import command_of_run, goes_on
-from op3.apps.support import output_folder
+from op3.apps.current_run import command_of_run, output_folder
+from op3.apps.job import goes_on
 from op3.report import run_provenance, write_result
 from op3.report.naming_page import naming_page
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers

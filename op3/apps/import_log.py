@@ -12,8 +12,8 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
+from op3.apps.current_run import output_folder
 from op3.apps.fields import plain
-from op3.apps.support import output_folder
 from op3.common.private import masked
 from op3.common.settings import parse_yaml
 from op3.common.writing import write_text

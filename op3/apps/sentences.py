@@ -9,7 +9,8 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from op3.apps.command_help import config_file, names_in, settings_of
+from op3.apps.command_help import names_in, settings_of
+from op3.common.assets import config_file
 from op3.common.settings import nearest
 
 

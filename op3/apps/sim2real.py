@@ -19,14 +19,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.collect import collect, exit_code
 from op3.apps.command_result import CommandResult
+from op3.apps.compose import configured
+from op3.apps.current_run import output_folder, provenance
 from op3.apps.diagnose import diagnose
 from op3.apps.evaluate import evaluate
 from op3.apps.fields import plain
 from op3.apps.identify import identify
-from op3.apps.job import configured, goes_on
+from op3.apps.job import goes_on
 from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
-from op3.apps.support import ASKED, check_same, library_motion, output_folder, provenance, remember
+from op3.apps.support import ASKED, check_same, library_motion, remember
 from op3.apps.train import train
 from op3.policy import PolicyBundle
 from op3.replay import Prediction, Replay

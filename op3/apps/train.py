@@ -22,13 +22,12 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 
 from op3.apps.command_result import CommandResult
+from op3.apps.compose import configured
+from op3.apps.current_run import by_name, model_artifact, output_folder, provenance, reported, wandb_of
 from op3.apps.fields import plain, whole
-from op3.apps.job import configured
-from op3.apps.sentences import no_such
-from op3.apps.support import by_name, model_artifact, output_folder, provenance, reported, wandb_of
 from op3.common.assets import named_configs
 from op3.common.private import CLAIMED
-from op3.common.settings import imported
+from op3.common.settings import imported, nearest
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
@@ -244,9 +243,9 @@ def main(cfg: DictConfig) -> Trained:
     folder = Path(cfg.resume or output_folder())
     if cfg.resume is None:
         check_unused(folder)
-    recipes = ("null", choices["task"], *named_configs("recipe"))
-    if choices["recipe"] not in recipes:  # Hydra leaves out one that is optional
-        raise ValueError(no_such("recipe", choices["recipe"]))
+    recipe, recipes = choices["recipe"], named_configs("recipe")
+    if recipe not in ("null", choices["task"], *recipes):  # Hydra leaves out one that is optional
+        raise ValueError(f"recipe={recipe}: there is no {recipe!r} in the group recipe{nearest(recipe, recipes)}")
     task, facts = chosen_task(cfg), provenance(cfg)
     settings, practice = TrainSettings(**plain(cfg.train)), Practice(task.schedules)
     training = robots(cfg, task)

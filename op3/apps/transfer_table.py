@@ -14,8 +14,8 @@ from omegaconf import DictConfig
 
 from op3.apps.collect import exit_code
 from op3.apps.command_result import CommandResult
+from op3.apps.current_run import output_folder
 from op3.apps.sim2real import check, loop
-from op3.apps.support import output_folder
 from op3.common.writing import write_text
 from op3.report.transfer_table_page import FAILED, read_cells, write_table
 

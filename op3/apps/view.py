@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 
-from op3.apps.support import output_folder
+from op3.apps.current_run import output_folder
 from op3.common.assets import here_or_shipped, model_names
 from op3.common.settings import read_yaml
 from op3.envs import record_episodes

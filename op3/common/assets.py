@@ -46,6 +46,11 @@ def conf_folder() -> Path:
     return installed if installed.is_dir() else _PACKAGE.parent / "conf"
 
 
+def config_file(config: str) -> Path:
+    """The file of a config, named as from ``conf/``."""
+    return conf_folder() / f"{config}.yaml"
+
+
 @lru_cache(maxsize=1)
 def config_variants() -> dict[str, dict[str, dict[str, Any]]]:
     """The configs of ``conf/variants.yaml``, by group with its package, as Hydra reads them."""

@@ -64,7 +64,7 @@ class Command:
     @property
     def script(self) -> Path | None:
         """The experiment that ``python experiments/<name>.py`` or ``op3 <command>`` starts; None of another program."""
-        from op3.apps.command_help import COMMANDS
+        from op3.apps import COMMANDS
 
         program, *rest = self.words
         if program == "python" and self.ours:

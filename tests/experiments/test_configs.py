@@ -4,8 +4,9 @@ import re
 
 import pytest
 
-from op3.apps.command_help import COMMANDS, config_file
-from op3.apps.job import composed, configured, override
+from op3.apps import COMMANDS
+from op3.apps.compose import composed, configured, override
+from op3.common.assets import config_file
 
 VALUES = {"robot": "op3", "model": "paper"}
 

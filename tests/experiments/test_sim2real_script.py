@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from hydra.utils import instantiate
 
-from op3.apps.job import composed
+from op3.apps.compose import composed
 from op3.policy import PolicyBundle
 from op3.report import read_result
 from op3.sim import load_model

@@ -9,7 +9,8 @@ import pytest
 from hydra.utils import instantiate
 
 from op3.apps.command_result import CommandResult
-from op3.apps.job import composed, configured, one_sentence
+from op3.apps.compose import composed, configured
+from op3.apps.job import one_sentence
 from op3.apps.sentences import as_sentence
 from op3.policy import PolicyBundle
 from op3.report import read_result

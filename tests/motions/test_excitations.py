@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from op3.apps.job import composed
+from op3.apps.compose import composed
 from op3.common.assets import named_configs
 from op3.motions import (
     Motion,

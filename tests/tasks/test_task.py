@@ -6,7 +6,7 @@ import hydra
 import numpy as np
 import pytest
 
-from op3.apps.job import composed
+from op3.apps.compose import composed
 from op3.envs import make_env
 from op3.policy import PolicyBundle
 from op3.replay import Setup

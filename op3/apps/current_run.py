@@ -1,0 +1,97 @@
+"""This run: its folder, its command, where its numbers come from, how it is logged, and its result."""
+
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from op3.apps import COMMANDS
+from op3.apps.command_result import CommandResult
+from op3.apps.fields import plain
+from op3.common.assets import find_model
+from op3.common.private import CLAIMED, scrub
+from op3.common.wandb_settings import WandbSettings
+
+if TYPE_CHECKING:
+    from op3.report import RunFolder
+
+Made = TypeVar("Made", bound=CommandResult)
+
+
+def output_folder() -> Path:
+    """The folder of this run."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def reported(kind: type[Made], values: Mapping[str, Any], objective: str | None = None, **more: Any) -> Made:
+    """The result of a command from the numbers that its page was published with.
+
+    Args:
+        kind: of result.
+        values: as of `op3.report.result.publish`.
+        objective: key of the number that a sweep optimises.
+        more: further fields of the result.
+    """
+    known = {"folder": output_folder(), "objective": None if objective is None else values[objective]}
+    return kind(headline=values["headline"], numbers=values, **{**known, **more})
+
+
+def by_name(overrides: Sequence[str]) -> dict[str, str]:
+    """Overrides as a mapping."""
+    return {name: value for name, _, value in (each.partition("=") for each in overrides)}
+
+
+def command_of_run() -> str:
+    """The command that makes this run again, with its overrides."""
+    hydra = HydraConfig.get()
+    names = {app: ["op3", *command.split()] for command, app in COMMANDS.items() if command != "demo"}
+    given = [*hydra.overrides.task, *(word for word in hydra.overrides.hydra if "sweeper" in word)]
+    words = [word for word in given if word != os.environ.get(CLAIMED)]
+    start = names.get(hydra.job.name, ["python", f"experiments/{hydra.job.name}.py"])
+    return scrub(shlex.join([*start, *words]))
+
+
+def model_artifact(cfg: DictConfig) -> list[tuple[str, Path]]:
+    """The file of a config's model, as an artifact that the run has read; none where the model is the robot's own."""
+    return [("model", find_model(cfg.model))] if cfg.get("model") else []
+
+
+READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
+"""Type of the artifact that each of these fields names, besides the model."""
+
+
+def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
+    """This run's folder with its provenance; `made` is the name in it of what the run makes, by kind."""
+    from op3.report import RunFolder  # brings plotly, which a deployment need not load
+
+    folder = output_folder()
+    given = {name: plain(cfg[name]) for name in READ if name in cfg}
+    used = [(READ[name], where) for name, where in given.items() if isinstance(where, str | list)]
+    return RunFolder(
+        folder,
+        provenance(cfg, given.get("data")),
+        plain(cfg),
+        wandb_of(cfg),
+        used=[*used, *model_artifact(cfg)],
+        made=[(kind, folder / name) for kind, name in made.items()],
+    )
+
+
+def wandb_of(cfg: DictConfig) -> WandbSettings:
+    """How the run is logged: its name is, unless given, what was run and the seed, such as ``balance-s0``."""
+    wandb = WandbSettings.of(plain(cfg.get("wandb", "disabled")))
+    choices = HydraConfig.get().runtime.choices
+    what = choices.get("task") if "train" in HydraConfig.get().job.name else HydraConfig.get().job.name
+    return wandb if wandb.name else replace(wandb, name=f"{what}-s{cfg.get('seed', 0)}")
+
+
+def provenance(cfg: DictConfig, data: Any = None) -> dict[str, Any]:
+    """Where this run's numbers come from."""
+    from op3.report import run_provenance
+
+    return {**run_provenance(seed=cfg.seed, data=data), "command": command_of_run()}
