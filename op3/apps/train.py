@@ -183,7 +183,10 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
     settings = plain(cfg.algorithm)
     if start is not None:
         settings |= {"hidden": list(start.manifest.hidden), "activation": start.manifest.activation}
-    algorithm = imported(settings.pop("_target_"), "algorithm._target_")(
+    kind = imported(target := settings.pop("_target_"), "algorithm._target_")
+    if not (isinstance(kind, type) and issubclass(kind, Algorithm)):
+        raise ValueError(f"algorithm._target_: {target} is not a class derived from op3.train.Algorithm")
+    algorithm = kind(
         robots,
         seed=cfg.seed,
         initial_action=torch.as_tensor(action_map.stand(cfg.initial_gain)),

@@ -70,7 +70,7 @@ def walk_course(actor: Actor, model: str | RobotModel, task: Task, robots: int, 
     state, rows = env.reset(), []
     upright = np.ones(robots, dtype=bool)
     for _ in range(task.steps):
-        command = env.mdp.terms["commands"]["velocity"].target.at(env.mdp.time)
+        command = env.mdp.terms["commands"]["velocity"].at(env.mdp.time)
         state["action"] = actor.policy.act(state["observation"]).to(torch.float32).clamp(-1.0, 1.0)
         after = env.step(state)["next"]
         upright &= ~after["terminated"][:, 0].numpy()

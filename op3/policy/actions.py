@@ -98,8 +98,14 @@ class ActionMap:
                 raise ValueError(f"actions.{name}.{unknown[0]}: unknown field{nearest(unknown[0], known[name])}")
         if "position" not in terms:
             raise ValueError("actions.position is missing: give it, for example {span: 0.4}")
-        gain, joints = terms.get("p_gain"), terms["position"].get("joints")
-        made = cls.around_stand(robot, terms["position"].get("span", SPAN), None if joints is None else tuple(joints))
+        gain, joints, span = terms.get("p_gain"), terms["position"].get("joints"), terms["position"].get("span", SPAN)
+        if type(span) not in (int, float) or not span > 0:
+            raise ValueError(f"actions.position.span must be a number above 0, got {span!r}")
+        if unknown := [joint for joint in joints or () if joint not in robot.joints]:
+            raise ValueError(
+                f"actions.position.joints: unknown joint {unknown[0]!r}{nearest(unknown[0], robot.joints)}"
+            )
+        made = cls.around_stand(robot, span, None if joints is None else tuple(joints))
         if gain is None or all(servo.loop == "firmware" for servo in robot.servos):
             return dataclasses.replace(made, gain_low=None, gain_high=None)
         low, high = gain.get("low", GAIN_LOW), gain.get("high", GAIN_HIGH)

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.common.settings import shown
 from op3.policy import observations
 from op3.policy.observations import Sensed
 from op3.policy.terms import Term
@@ -55,10 +56,16 @@ class Observer:
         self.layout: dict[str, int] = {}
         for term in self.terms:
             _check_options(term)
+            where = f"observations.{term.name}"
             try:
-                self.layout[term.name] = term(example).shape[-1]
-            except (ValueError, TypeError, AttributeError, KeyError) as error:
-                raise ValueError(f"observations.{term.name} does not fit the robot {robot.name}: {error}") from None
+                value = term(example)
+            except ValueError as error:
+                problem = str(error).removeprefix(f"{where}: ")
+                raise ValueError(f"{where} does not fit the robot {robot.name}: {problem}") from error
+            if not isinstance(value, Tensor) or value.shape[:-1] != (1,):
+                given = tuple(value.shape) if isinstance(value, Tensor) else shown(value)
+                raise ValueError(f"{where} must return [..., number], for one robot (1, number), got {given}")
+            self.layout[term.name] = value.shape[-1]
         self.history = history
         self._late: dict[str, list[Tensor]] = {}
         self._stack: Tensor | None = None

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import inspect
 import re
+import traceback
 from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from torch import Tensor
 
 from op3.common.settings import imported, nearest
 
@@ -48,7 +53,7 @@ class Term:
         inputs: int = 1,
     ):
         self.name, self.options, self._inputs = name, dict(options or {}), inputs
-        where = f"{kind}.{name}"
+        self._where = where = f"{kind}.{name}"
         given = dict(spec)
         function = find(given.pop(FUNCTION, name), home, where)
         for option in self.options:
@@ -71,9 +76,9 @@ class Term:
         self.target: Any = function
         if inspect.isclass(function):
             try:
-                self.target = function(**self.parameters)
+                self.target = self._checked(function, **self.parameters)
             except ValueError as error:
-                raise ValueError(f"{where}: {error}") from None
+                raise ValueError(f"{where}: {str(error).removeprefix(f'{where}: ')}") from error
 
     @property
     def keeps_memory(self) -> bool:
@@ -82,11 +87,28 @@ class Term:
 
     def __call__(self, *inputs: Any) -> Any:
         """The term's value."""
-        return self.target(*inputs) if self.keeps_memory else self.target(*inputs, **self.parameters)
+        return self._checked(self.target, *inputs, **({} if self.keeps_memory else self.parameters))
 
     def hook(self, name: str) -> Callable[..., Any] | None:
-        """A method of the instance by its name; None if it has none."""
-        return getattr(self.target, name, None) if self.keeps_memory else None
+        """A method of the instance by its name; None where it has none."""
+        method = getattr(self.target, name, None) if self.keeps_memory else None
+        return None if method is None else partial(self._checked, method)
+
+    def at(self, time: Tensor) -> Tensor:
+        """What a command asks for at a time of each episode [s], ``[env, number]``."""
+        if (method := self.hook("at")) is None:
+            raise ValueError(f"{self._where} must be a class with a method at(time), got {self.target!r}")
+        return method(time)
+
+    def _checked(self, function: Callable[..., Any], /, *inputs: Any, **parameters: Any) -> Any:
+        """A call of a function that a user wrote, whose mistakes are reported with term, file and line."""
+        try:
+            return function(*inputs, **parameters)
+        except (AttributeError, IndexError, KeyError, NameError, TypeError) as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            close = nearest(error.name, dir(error.obj)) if isinstance(error, AttributeError) and error.name else ""
+            place = f"{Path(frame.filename).name}, line {frame.lineno}"
+            raise ValueError(f"{self._where}: {type(error).__name__} in {place}: {error}{close}") from error
 
     def set(self, field: str, value: Any) -> None:
         """Change an option or a parameter while the task runs, as a curriculum does."""
@@ -99,7 +121,7 @@ class Term:
         else:
             target = type(self.target) if self.keeps_memory else self.target
             known = [*self.options, *_arguments(target, self._inputs)]
-            raise ValueError(f"term {self.name} has no field {field!r}{nearest(field, known)}")
+            raise ValueError(f"{self._where}.{field}: unknown field{nearest(field, known)}")
 
 
 def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.common.settings import nearest
+from op3.common.settings import nearest, shown
 from op3.policy import ActionMap
 from op3.policy.observations import Sensed
 from op3.policy.terms import Term
@@ -241,8 +241,11 @@ class Mdp:
     def _value(self, kind: str, term: Term, state: State) -> Tensor:
         """A term's value, which must have one number per robot."""
         value = term(state)
-        if tuple(value.shape) != (self.num_envs,):
-            raise ValueError(f"{kind}.{term.name} must return [env] = ({self.num_envs},), got {tuple(value.shape)}")
+        if not isinstance(value, Tensor) or tuple(value.shape) != (self.num_envs,):
+            given = tuple(value.shape) if isinstance(value, Tensor) else shown(value)
+            raise ValueError(f"{kind}.{term.name} must return [env] = ({self.num_envs},), got {given}")
+        if kind in ("terminations", "success") and value.dtype != torch.bool:
+            raise ValueError(f"{kind}.{term.name} must return true or false for each robot, got {value.dtype}")
         return value
 
     def _privileged(self, state: State, terms: Mapping[str, Term]) -> Tensor:
@@ -258,7 +261,7 @@ class Mdp:
 
     def _asked(self) -> dict[str, Tensor]:
         """Commands in force now by name, ``[env, number]``."""
-        return {name: term.target.at(self.time) for name, term in self.terms["commands"].items()}
+        return {name: term.at(self.time) for name, term in self.terms["commands"].items()}
 
     def _sense(self, snapshot: Snapshot) -> Sensed:
         self.readings = {n: torch.round(snapshot.readings[n] / unit) * unit for n, unit in self._units.items()}

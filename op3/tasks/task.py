@@ -194,7 +194,7 @@ class Task:
             orientation=three if imu else None,
             angular_velocity=three if imu else None,
             phase=None if self.gait is None else three[:, 0],
-            commands={name: term.target.at(three[:, 0]) for name, term in self._commands(robot).items()},
+            commands={name: term.at(three[:, 0]) for name, term in self._commands(robot).items()},
         )
 
     def check_policy(self, manifest: Manifest, name: str) -> None:

@@ -26,7 +26,7 @@ Measures = dict[str, Tensor]
 """Scalars by name, for logs."""
 
 
-@settings()
+@settings("algorithm")
 class AlgorithmSettings:
     """Common settings of algorithms.
 

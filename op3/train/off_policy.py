@@ -18,7 +18,7 @@ from op3.train.networks import QNetwork, bfloat16_is_faster
 Bold = Annotated[Number, Field(ge=1)]
 
 
-@settings()
+@settings("algorithm")
 class OffPolicySettings(AlgorithmSettings):
     """Common settings of algorithms with a replay buffer; one step is one policy step of one environment.
 

@@ -15,7 +15,7 @@ KEPT = (NORMALISED, "action", "action_log_prob", "advantage", "value_target")
 """Keys that the loss reads."""
 
 
-@settings()
+@settings("algorithm")
 class PPOSettings(AlgorithmSettings):
     """Settings of PPO.
 

@@ -12,7 +12,7 @@ Schedule = Listed[Listed[Number]]
 """Pairs of a number of steps and a value, with straight lines between and constant beyond."""
 
 
-@settings("practice")
+@settings()
 class Practice:
     """Curricula of a training; evaluations do not use them.
 

@@ -13,7 +13,7 @@ from op3.train.networks import Ensemble, approach
 from op3.train.off_policy import OffPolicy, OffPolicySettings
 
 
-@settings()
+@settings("algorithm")
 class SACSettings(OffPolicySettings):
     """Settings of soft actor-critic.
 

@@ -13,7 +13,7 @@ from op3.train.networks import PolicyNetwork
 from op3.train.off_policy import OffPolicy, OffPolicySettings
 
 
-@settings()
+@settings("algorithm")
 class TD3Settings(OffPolicySettings):
     """Settings of TD3; `initial_std` is the constant standard deviation of its exploration.
 

@@ -29,7 +29,7 @@ Log = Callable[[Mapping[str, float], int], None]
 """Takes measures by name and the number of environment steps."""
 
 
-@settings()
+@settings("train")
 class TrainSettings:
     """Settings of a run; one step is one policy step of one environment.
 

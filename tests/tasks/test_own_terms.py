@@ -76,6 +76,26 @@ def wrong_shape(state):
     return state.base_velocity
 
 
+def misspelt(seen):
+    return seen.joint_velocty
+
+
+def scaled(state, size):
+    return state.base_height * size
+
+
+def heights(state):
+    return state.base_height
+
+
+def constant(seen):
+    return 1.0
+
+
+class Mute:
+    pass
+
+
 def height_and_velocity(state):
     return torch.cat([state.base_height[:, None], state.heading_velocity], 1)
 
@@ -159,6 +179,31 @@ def test_a_term_of_the_wrong_shape_is_named(package):
     state = env.reset().set("action", torch.zeros(2, 20))
     with pytest.raises(ValueError, match=r"rewards.mine must return \[env\] = \(2,\), got \(2, 3\)"):
         env.step(state)
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields", "message"),
+    [
+        ("rewards", {"function": "misspelt"}, r"rewards\.mine: AttributeError in terms\.py, line .* 'joint_velocity'"),
+        ("observations", {"function": "misspelt"}, r"observations\.mine does not fit .* terms\.py.* 'joint_velocity'"),
+        ("rewards", {"function": "scaled", "size": [1, 2, 3]}, r"rewards\.mine: TypeError in terms\.py, line \d+: "),
+        ("rewards", {"function": "constant"}, r"rewards\.mine must return \[env\] = \(2,\), got 1\.0"),
+        ("observations", {"function": "constant"}, r"observations\.mine must return \[\.\.\., number\].*, got 1\.0"),
+        ("terminations", {"function": "heights"}, r"terminations\.mine must return true or false for each robot, got"),
+        ("commands", {"function": "Mute"}, r"commands\.mine must be a class with a method at\(time\)"),
+        ("commands", {"function": "Beat", "rate": None}, r"commands\.mine: TypeError in terms\.py, line \d+: "),
+    ],
+)
+def test_mistakes_in_own_terms_are_reported_with_term_and_line(package, kind, fields, message):
+    """One sentence names the term, and the line of the user's file or what must be returned."""
+    fields = {**fields, "function": f"my_package.terms.{fields['function']}"}
+
+    def stepped():
+        env = make_env(find_task("balance", {f"{kind}.mine": fields}), num_envs=2)
+        env.step(env.reset().set("action", torch.zeros(2, 20)))
+
+    with pytest.raises(ValueError, match=message):
+        stepped()
 
 
 def test_a_curriculum_changes_own_terms(package):

@@ -112,7 +112,7 @@ def test_practice_changes_the_reward_and_the_ground():
     assert heights[1] - heights[0] > 0.005
     with pytest.raises(ValueError, match=r"the nearest is 'events\.terrain'"):
         env.practise(**{"events.terain.height": 0.01})
-    with pytest.raises(ValueError, match="term terrain has no field 'hight'; the nearest is 'height'"):
+    with pytest.raises(ValueError, match=r"events\.terrain\.hight: unknown field; the nearest is 'height'"):
         env.practise(**{"events.terrain.hight": 0.01})
 
 
