@@ -80,7 +80,9 @@ class Mirror:
 
     def observation(self, observation: Tensor) -> Tensor:
         """The image's observation ``[..., observation]``, history included."""
-        return observation[..., self._observation] * self._observation_sign.to(observation)
+        return observation.index_select(-1, self._observation.to(observation.device)) * self._observation_sign.to(
+            observation
+        )
 
     def privileged(self, privileged: Tensor) -> Tensor:
         """The image's privileged observation, ``[..., number]``."""
@@ -88,7 +90,7 @@ class Mirror:
 
     def action(self, action: Tensor) -> Tensor:
         """The image's action ``[..., action]``."""
-        return action[..., self._action] * self._action_sign.to(action)
+        return action.index_select(-1, self._action.to(action.device)) * self._action_sign.to(action)
 
     def _image(
         self, seen: Sensed, images: Mapping[str, tuple[str, int]], joints: Sequence[str], commands: Mapping[str, Tensor]

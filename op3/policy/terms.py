@@ -90,7 +90,7 @@ class Term:
         return self._checked(self.target, *inputs, **({} if self.keeps_memory else self.parameters))
 
     def hook(self, name: str) -> Callable[..., Any] | None:
-        """A method of the instance by its name; None where it has none."""
+        """A method of the instance by its name; None if it has none."""
         method = getattr(self.target, name, None) if self.keeps_memory else None
         return None if method is None else partial(self._checked, method)
 

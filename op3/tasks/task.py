@@ -8,6 +8,7 @@ from math import ceil
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BeforeValidator, Field
 
@@ -20,6 +21,7 @@ from op3.policy.observation import Observer
 from op3.policy.observations import Sensed
 from op3.policy.terms import FUNCTION, Term, find
 from op3.robot import Robot, load_robot
+from op3.tasks import commands, privileged
 
 TICKS = 4
 """Ticks of the PD control per policy step: 125 Hz and 31.25 Hz (paper)."""
@@ -163,8 +165,6 @@ class Task:
     @property
     def privileged_signs(self) -> tuple[float, ...]:
         """Signs of the mirror image of each privileged number."""
-        from op3.tasks import privileged
-
         signs: list[float] = []
         for name, spec in self.terms("privileged").items():
             term = find(spec.get(FUNCTION, name), privileged, f"privileged.{name}")
@@ -175,15 +175,11 @@ class Task:
 
     def _commands(self, robot: Robot) -> dict[str, Term]:
         """The terms of the commands, for one robot."""
-        from op3.tasks import commands
-
         context = {"num_envs": 1, "duration": self.duration, "robot": robot, "policy_period": POLICY_PERIOD}
         return {name: Term("commands", name, spec, commands, context) for name, spec in self.terms("commands").items()}
 
     def example(self, robot: Robot, action_size: int) -> Sensed:
         """Sensor readings of one robot in the home pose, ``[1, ...]``."""
-        import torch
-
         position = torch.from_numpy(robot.home)[None]
         three = torch.zeros(1, 3, dtype=torch.float64)
         imu = robot.file.imu is not None

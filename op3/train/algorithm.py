@@ -188,12 +188,17 @@ class Algorithm(nn.Module, ABC):
             chosen.largest_std,
         )
 
-    def stochastic_actor(self) -> ProbabilisticActor:
-        """The policy in the form of TorchRL's losses: normalised observations to squashed Gaussian actions."""
+    def stochastic_actor(self, safe_tanh: bool = True) -> ProbabilisticActor:
+        """The policy in the form of TorchRL's losses: normalised observations to squashed Gaussian actions.
+
+        Args:
+            safe_tanh: whether actions stay so far from 1 that their probability can be asked for again.
+        """
         return ProbabilisticActor(
             TensorDictModule(self.network, [NORMALISED], ["loc", "scale"]),
             in_keys=["loc", "scale"],
             distribution_class=TanhNormal,
+            distribution_kwargs={"safe_tanh": safe_tanh},
             return_log_prob=True,
         )
 

@@ -172,6 +172,8 @@ class Ensemble(nn.Module):
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Values [member, ...]."""
+        if self.members[0].in_bfloat16:  # converted once for all members
+            observation, action = observation.bfloat16(), action.bfloat16()
         return torch.stack([member(observation, action).squeeze(-1) for member in self.members])
 
 

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs.transforms import MultiStepTransform, Transform
 from torchrl.modules import ValueOperator
@@ -100,7 +101,7 @@ class OffPolicy(Algorithm):
                 f"a buffer of {chosen.buffer} transitions holds under two steps of {self.environments} environments"
             )
         self.steps = self.learned = self.stored = 0
-        storage = LazyTensorStorage(chosen.buffer, device=self.device)
+        storage = Gathered(chosen.buffer, device=self.device)
         self.buffer = ReplayBuffer(storage=storage, batch_size=chosen.batch)
         if self.mirror is not None and chosen.mirrored:
             self.buffer.append_transform(Mirrored(self.mirror, chosen.mirrored))
@@ -217,6 +218,17 @@ class OffPolicy(Algorithm):
     def _due(self, steps: int) -> int:
         """Updates after so many steps."""
         return int(max(steps - self.settings.warmup, 0) * self.settings.updates_per_step)
+
+
+class Gathered(LazyTensorStorage):
+    """TorchRL's storage, whose rows are read by `index_select`, several times faster on processors than indexing."""
+
+    def get(self, index: Any) -> Any:
+        """Transitions by their numbers."""
+        if isinstance(index, Tensor) and index.ndim == 1 and index.dtype == torch.int64:
+            rows: Any = self._storage
+            return rows.apply(lambda values: values.index_select(0, index.to(values.device)), batch_size=index.shape)
+        return super().get(index)
 
 
 class Mirrored(Transform):

@@ -38,7 +38,7 @@ class SAC(OffPolicy):
 
     def build(self) -> None:
         """Make critics, their targets, temperature and buffer."""
-        self.actor = self.stochastic_actor()
+        self.actor = self.stochastic_actor(safe_tanh=False)  # probabilities come with the samples
         self.critics = Ensemble([self.q_network(), self.q_network()])
         self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
         self.log_temperature = nn.Parameter(torch.tensor(self.settings.initial_temperature).log())

@@ -183,6 +183,10 @@ def train(
     return run
 
 
+def _finite(values: torch.Tensor) -> bool:
+    return bool(torch.isfinite(values).all())
+
+
 def _passed(before: int, now: int, every: int) -> bool:
     return before // every != now // every
 
@@ -275,8 +279,10 @@ class _Meter:
         """
         after: Any = rollout["next"]
         for name in ("observation", "reward"):
-            if not bool(torch.isfinite(after[name]).all()):
-                raise ValueError(f"the environment gave a {name} that is not finite; check its model file")
+            if not _finite(after[name]):
+                terms = [f"reward_terms.{term}" for term, v in after.get("reward_terms", {}).items() if not _finite(v)]
+                what = terms[0] if name == "reward" and terms else name
+                raise ValueError(f"the environment gave a {what} that is not finite; check the term and the model file")
         values = {"reward": after["reward"], "action/spread": rollout["action"].std()}
         for kind in ("reward_terms", "measure"):
             values |= {f"{kind}/{name}": value for name, value in after.get(kind, {}).items()}
