@@ -228,7 +228,7 @@ class Gathered(LazyTensorStorage):
         if isinstance(index, Tensor) and index.ndim == 1 and index.dtype == torch.int64:
             rows: Any = self._storage
             return rows.apply(lambda values: values.index_select(0, index.to(values.device)), batch_size=index.shape)
-        return super().get(index)
+        return super().get(index)  # pyright: ignore[reportArgumentType]
 
 
 class Mirrored(Transform):
