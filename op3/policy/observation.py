@@ -62,7 +62,7 @@ class Observer:
             except ValueError as error:
                 problem = str(error).removeprefix(f"{where}: ")
                 raise ValueError(f"{where} does not fit the robot {robot.name}: {problem}") from error
-            if not isinstance(value, Tensor) or value.shape[:-1] != (1,):
+            if not isinstance(value, Tensor) or value.shape[:-1] != example.joint_position.shape[:-1]:
                 given = tuple(value.shape) if isinstance(value, Tensor) else shown(value)
                 raise ValueError(f"{where} must return [..., number], for one robot (1, number), got {given}")
             self.layout[term.name] = value.shape[-1]

@@ -105,7 +105,7 @@ def test_an_evaluation_shows_the_gait_of_who_walks(tmp_path, walks):
     text = read(tmp_path)
     assert "1 of 2 episodes succeed, 1 end without failing" in text
     assert "R_eval 200.0 (standard deviation 3.0)." in text
-    assert all((part in text) == walks for part in ("95 %: 0.3 to 1", "R_eval above hold", "over the gait"))
+    assert all((part in text) == walks for part in ("95 %: 30 to 100", "R_eval above hold", "over the gait"))
 
 
 def test_a_plan_says_what_to_record_and_what_it_would_leave_open(tmp_path):
