@@ -13,8 +13,8 @@ import pytest
 
 from op3.apps import import_log
 from op3.apps.collect import collect
-from op3.apps.identify import identify
 from op3.apps.compose import configured
+from op3.apps.identify import identify
 from op3.deploy import FollowPolicy, Limits, Plan, PolicyRunner, connect, run
 from op3.deploy.exit_codes import ExitCode
 from op3.policy import PolicyBundle
