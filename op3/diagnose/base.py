@@ -195,8 +195,8 @@ def damped(fit: Posterior, numbers: Numbers) -> np.ndarray:
 
 
 def either_way(coordinates: Coordinates) -> np.ndarray:
-    """Steps ``[step, number]`` in the size of one effect after another: where joints stick, or hang loose, the base's
-    numbers lead all steps astray that move them, and nothing linear says how far the size is off."""
+    """Steps ``[step, number]`` that change only the size of one effect. If joints stick or play is crossed, linearised
+    steps in all numbers together miss the best size."""
     sizes = [i for i, entry in enumerate(coordinates.entries) if entry.kind == "add"]
     steps = np.diag(coordinates.deviation)[sizes]
     return np.concatenate([share * steps for share in EITHER_WAY])

@@ -1,4 +1,4 @@
-"""Features of what a joint goes through: what it does and nobody explains is a sum of them."""
+"""Features of the motion of joints: the unexplained torque of a joint is modelled as a sum of them."""
 
 import numpy as np
 from scipy import linalg
@@ -53,7 +53,7 @@ def _rows(weights: np.ndarray, made: np.ndarray) -> np.ndarray:
 def random_features(engine: WindowResiduals, joints: np.ndarray, count: int) -> list[np.ndarray]:
     """Features along the windows, each ``[window, tick, joint]``; the first is constant.
 
-    What a joint does and nobody explains is a sum of them (Rahimi & Recht 2007).
+    The unexplained torque of a joint is modelled as a sum of them (Rahimi & Recht 2007).
     """
     rng = np.random.default_rng(0)
     motion = engine.motion

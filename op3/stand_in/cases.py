@@ -269,9 +269,9 @@ def record_case(case: Case, runs: Sequence[Excitation] | None = None) -> Iterato
     for number, (run, (day_time, temperature)) in enumerate(zip(runs, day, strict=True)):
         begin = MORNING + datetime.timedelta(seconds=float(day_time))
         extra = {"robot_id": case.name, "tilt": [float(angle) for angle in run.tilt]}
-        told = {**setting.metadata(), "seed": None, "date": begin.isoformat(timespec="seconds"), "extra": extra}
+        metadata = {**setting.metadata(), "seed": None, "date": begin.isoformat(timespec="seconds"), "extra": extra}
         placed = {"tilt": run.tilt, "day_time": day_time, "temperature": temperature}
-        options = {"still": False, "settle": setting.settle, "pushes": getattr(run, "pushes", ()), "metadata": told}
+        options = {"still": False, "settle": setting.settle, "pushes": getattr(run, "pushes", ()), "metadata": metadata}
         recording = f"{case.name}/{number:02d}"
         yield play(robot, run.motion, run.p_gain, run.d_gain, recording=recording, **options, **placed)
 

@@ -22,14 +22,14 @@ _PERIOD = 0.02
 _LEAVE = "leave this time out, and look at the servo's supply, its errors and its torque switch"
 
 _LETS_GO = 0.14
-"""A joint that lets go for less is not told [s]."""
+"""Shortest time for which a joint that lets go is reported [s]."""
 
 _RECENT = (0.12, 0.25)
 """A joint that follows is between the least and the largest of the targets of so long, quick or slow as it is [s]."""
 
 _FAR, _TIMES, _CARRIED = 0.1, 3.0, 2.5
-"""One that stays beyond them by less is not told [rad], nor one that comes as far by fewer times as much as otherwise.
-Nor one that moves by so many times as much on its way there: it follows, and yields to what it carries."""
+"""A joint that lets go is beyond its recent targets by at least the first [rad], and by the second times as much as at
+other times. If its range of motion on the way there is the third times that distance, it only yields to its load."""
 
 _PUSHES = 0.3
 """A servo that gives so much of its usual current or duty has not let go, but friction or an obstacle holds it."""
@@ -42,11 +42,11 @@ within this time [s] at least."""
 @check("lets go", unless=("position against command", "two clocks", "time jumps", "stale readings"))
 def lets_go(view: View) -> Iterator[LogFinding]:
     """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
-    not pulled towards them, much further off than at other times. Without a current it is not told within 0.1 rad of
-    its recent targets, nor where it moves the others as well, nor of a lone servo, which friction may hold."""
+    not pulled towards them, much further off than at other times. Without a current it is not reported within 0.1 rad
+    of its recent targets, nor where it moves the others as well, nor of a lone servo, which friction may hold."""
     if len(view.time) < 50 or view.metadata.fallen:
         return
-    told: set[int] = set()
+    reported: set[int] = set()
     for key, gain in ((CURRENT, view.get(("command", "p_gain"))), (("joint", "duty"), view.duty_gain)):
         values = view.get(key)
         for joint in range(len(view.joints)) if values is not None and gain is not None else ():
@@ -57,13 +57,13 @@ def lets_go(view: View) -> Iterator[LogFinding]:
             wanted = law @ fitted(law[on], values[on, joint])
             run = _without(values[:, joint], wanted, on, view.interval)
             if run is not None:
-                told.add(joint)
+                reported.add(joint)
                 first, last = run
                 worst = first + int(np.abs(wanted[first : last + 1]).argmax())
                 problem = f"{key[1]} is {values[worst, joint] + 0.0:.2g} where its law gives {wanted[worst]:.2g}, for "
                 problem += f"{view.time[last] - view.time[first]:.2g} s: the servo had let go"
                 yield view.found(WARNING, (POSITION, joint), problem, _LEAVE, first, last)
-    yield from _astray(view, told | commands_stop(view).keys())
+    yield from _astray(view, reported | commands_stop(view).keys())
 
 
 def _without(values: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval: float) -> tuple[int, int] | None:
@@ -90,7 +90,7 @@ def _around(rows: np.ndarray, row: int) -> tuple[int, int]:
     return int(before[-1] + 1) if len(before) else 0, int(behind[0]) if len(behind) else len(rows)
 
 
-def _astray(view: View, told: set[int]) -> Iterator[LogFinding]:
+def _astray(view: View, reported: set[int]) -> Iterator[LogFinding]:
     stride = max(1, round(_PERIOD / view.interval))
     angle, target, period = view.position[::stride], view.command[::stride], stride * view.interval
     if len(angle) < 50 or period > 2 * _PERIOD or len(view.joints) == 1:
@@ -106,7 +106,7 @@ def _astray(view: View, told: set[int]) -> Iterator[LogFinding]:
         error = np.where(switched | ~switched.any(0), angle - target, np.nan)
         mean = angle - np.nanmedian(error, axis=0)
         off = np.where(switched, mean - np.clip(mean, least, most), 0.0)
-        for joint in (j for j in range(len(view.joints)) if j not in told):
+        for joint in (j for j in range(len(view.joints)) if j not in reported):
             found, usual = _let_go(angle[:, joint], off[:, joint], switched[:, joint], ahead, rows, past)
             if not found:
                 continue
@@ -116,7 +116,7 @@ def _astray(view: View, told: set[int]) -> Iterator[LogFinding]:
                 continue
             if (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken:
                 continue  # a push, or on its feet the weight
-            told.add(joint)
+            reported.add(joint)
             more = f" and {len(found) - 1} times more" if len(found) > 1 else ""
             problem = f"the joint stays {far:.2g} rad beyond all its targets of {recent} s, for "
             problem += f"{(end - first) * period:.2g} s{more}, and {usual:.2g} rad otherwise: "
