@@ -148,12 +148,11 @@ def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
 def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, float]) -> Followed:
     """Couplings of joints without a servo, from the file or else from the model; a joint coupled to a slide follows the
     slide's servo."""
-    told = {name: entry for name, entry in content.unpowered.items() if not entry.passive}
-    known = {joint.name for joint in spec.joints}  # the check of the file refuses other names
-    told = {n: e for n, e in told.items() if n in known and (not e.coupled or e.coupled.joint in content.joints)}
+    names = {joint.name for joint in spec.joints}  # the check of the file refuses other names
     found: Followed = {
-        name: (one.joint, one.ratio, one.offset) if (one := entry.coupled) else (None, 0.0, entry.held or 0.0)
-        for name, entry in told.items()
+        name: (drive.joint, drive.ratio, drive.offset) if (drive := entry.coupled) else (None, 0.0, entry.held or 0.0)
+        for name, entry in content.unpowered.items()
+        if name in names and not entry.passive and (not entry.coupled or entry.coupled.joint in content.joints)
     }
     for name, coupling in _mimics(spec, content.joints).items():
         if name not in content.joints and name not in content.unpowered and coupling[0] in content.joints:
@@ -194,14 +193,12 @@ def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Itera
     yield Part("springs", tuple(joint.name for joint in driven if np.any(joint.stiffness)), IGNORED)
     yield Part("compensation of gravity", tuple(body.name for body in spec.bodies if body.gravcomp), IGNORED)
     yield Part("tendons", tuple(tendon.name or "one without a name" for tendon in spec.tendons), IGNORED)
-    own = {name: coupling[0] for name, coupling in _mimics(spec, content.joints).items() if name in content.joints}
-    yield Part("coupling", tuple(f"{n} to {driver}" for n, driver in own.items()), f"{IGNORED}: it has its own servo")
-    told = {*own, *(name for name, (driver, *_) in followed.items() if driver)}
-    others = (
-        one for one in spec.equalities if one.type != mujoco.mjtEq.mjEQ_JOINT or told.isdisjoint((one.name1, one.name2))
-    )
-    named = (one.name or " and ".join(filter(None, (one.name1, one.name2))) for one in others)
-    yield Part("equalities", tuple(named), IGNORED)
+    ignored = {name: coupling[0] for name, coupling in _mimics(spec, content.joints).items() if name in content.joints}
+    couplings = tuple(f"{name} to {driver}" for name, driver in ignored.items())
+    yield Part("coupling", couplings, f"{IGNORED}: it has its own servo")
+    coupled = {*ignored, *(name for name, (driver, *_) in followed.items() if driver)}  # reported by couplings
+    others = (e for e in spec.equalities if e.type != mujoco.mjtEq.mjEQ_JOINT or coupled.isdisjoint((e.name1, e.name2)))
+    yield Part("equalities", tuple(e.name or " and ".join(filter(None, (e.name1, e.name2))) for e in others), IGNORED)
     yield Part("coupling", tuple(f"{n} to {driver}" for n, (driver, *_) in followed.items() if driver), USED)
     yield Part("held position", tuple(name for name, (driver, *_) in followed.items() if not driver), USED)
     yield Part("spring, damping and friction", free, f"{USED}, as passive joints")

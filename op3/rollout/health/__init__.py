@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from op3.rollout.health.finding import CHECKS, ERROR, WARNING, LogFinding, examine, merge_findings
+from op3.rollout.health.finding import ERROR, WARNING, LogFinding, merge_findings
+from op3.rollout.health.view import CHECKS, examine
 
-# each enters its checks into the registry; of several errors the first is told, so causes come before what they bring
-_ORDER = "clock sidecar numbers angles velocity still follows drive_signals inertial_sensor ranges"
+# each enters its checks into the registry; of several errors the first is raised, so causes come before what they bring
+_ORDER = "clock sidecar numbers commands velocity stops drives inertial_sensor ranges"
 for _name in _ORDER.split():
     import_module(f"{__name__}.{_name}")
 
@@ -17,5 +18,5 @@ __all__ = ["CHECKS", "ERROR", "WARNING", "LogFinding", "checks_table", "examine"
 def checks_table() -> str:
     """The checks as Markdown, for documentation."""
     lines = ["| check | finds |", "|---|---|"]
-    lines += [f"| {name} | {' '.join(str(function.__doc__).split())} |" for name, function in CHECKS.items()]
+    lines += [f"| {name} | {' '.join(str(one.find.__doc__).split())} |" for name, one in CHECKS.items()]
     return "\n".join(lines) + "\n"

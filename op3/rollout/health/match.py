@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,15 +10,9 @@ from scipy.integrate import cumulative_trapezoid
 
 from op3.rollout.units import likely_unit
 
-WINDOW = 0.12
-"""Time over which increments are compared, so that the steps of an encoder average out [s]."""
-
-SURE = 0.9
-"""Correlation above which one signal follows another, so that a factor and a sign mean something."""
-
-
-GIVES = 0.5
-"""No servo that holds its target yields by so much [rad]."""
+WINDOW = 0.12  # time over which increments are compared, so that the steps of an encoder average out [s]
+SURE = 0.9  # correlation above which one signal follows another, so that a factor and a sign mean something
+GIVES = 0.5  # no servo that holds its target yields by so much [rad]
 
 
 @dataclass(frozen=True)
@@ -53,16 +48,34 @@ def fitted(causes: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(causes, values)[0] if sound else np.full(causes.shape[1], np.nan)
 
 
+def unexplained(values: np.ndarray, causes: np.ndarray) -> float:
+    """Share of the variance of values [row] that a linear fit of causes [row, cause] leaves."""
+    return float((values - causes @ fitted(causes, values)).var() / max(values.var(), 1e-12))
+
+
+def as_if(*readings: tuple[str, float, str], tolerance: float = 0.05) -> str:
+    """In what unit numbers are, in words: the first that fits, of what they are called, their factor and SI unit."""
+    units = ((who, likely_unit(ratio, unit, tolerance)) for who, ratio, unit in readings)
+    return next((f", as if {who} were in {unit}" for who, unit in units if unit), "")
+
+
 def no_sensor(ratio: float | None) -> bool:
     """Whether a factor between two rates is a unit or a sign, and not a filter or a rough sensor."""
     return ratio is not None and (ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None)
 
 
 def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
-    """Correlation of a [row] with b so many rows earlier."""
+    """Correlation of a [row] with b so many rows earlier, or later where they are negative."""
+    if rows < 0:
+        a, b, rows = b, a, -rows
     a, b = a[rows:] - a[rows:].mean(), b[: len(b) - rows] - b[: len(b) - rows].mean()
     size = np.sqrt((a @ a) * (b @ b))
     return float(a @ b / size) if size > 0 else 0.0
+
+
+def delays(a: np.ndarray, b: np.ndarray, lags: Iterable[int]) -> np.ndarray:
+    """Correlation of a [row] with b so many rows earlier, for each number of them [lag]."""
+    return np.array([delayed(a, b, lag) for lag in lags])
 
 
 def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -75,15 +88,8 @@ def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Integral of rates [time, name] from the first row on."""
+    """Integral of rates [time, ...] from the first row on."""
     return np.asarray(cumulative_trapezoid(rate, time, axis=0, initial=0))
-
-
-def match_rates(time: np.ndarray, rate: np.ndarray, angle: np.ndarray) -> Match | None:
-    """Rates [time, name], summed over windows, against how far their angles turn there; None where windows are few."""
-    first, last, _ = windows(time)
-    summed = integral(time, rate)
-    return match(summed[last] - summed[first], angle[last] - angle[first]) if len(first) >= 8 else None
 
 
 def step(values: np.ndarray) -> np.ndarray:
@@ -100,8 +106,13 @@ def step(values: np.ndarray) -> np.ndarray:
     return steps
 
 
-def longest_run(still: np.ndarray) -> tuple[int, int]:
+def runs(rows: np.ndarray) -> np.ndarray:
+    """First row of each run of truths [row], and the row behind it, [run, 2]."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
+
+
+def longest_run(rows: np.ndarray) -> tuple[int, int]:
     """Start and length of the longest run of truths [row]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    sizes = edges[1::2] - edges[::2]
-    return (int(edges[2 * sizes.argmax()]), int(sizes.max())) if len(sizes) else (0, 0)
+    found = runs(rows)
+    first, end = found[np.diff(found).argmax()].tolist() if len(found) else (0, 0)
+    return first, end - first

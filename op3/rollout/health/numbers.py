@@ -1,107 +1,103 @@
-"""Checks of what was written in a column: another joint's numbers, a register's, single wrong ones."""
+"""Checks of what was written in a column: another one's numbers, a register's, other turns, or single wrong ones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from op3.rollout.health.finding import (
-    COMMAND,
-    CURRENT,
-    ERROR,
-    FORCE,
-    ORIENTATION,
-    POSITION,
-    RATE,
-    VELOCITY,
-    WARNING,
-    LogFinding,
-    View,
-    check,
-)
+from op3.rollout.health.match import delayed, runs
+from op3.rollout.health.view import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, VELOCITY, Found, View, check
 from op3.rollout.schema import CHANNELS, Key
 from op3.rollout.units import UNITS
 
-_LEAST: dict[Key, float] = {VELOCITY: 5.0, CURRENT: 5.0, ("joint", "voltage"): 2.0, ("joint", "temperature"): 5.0}
-_LEAST |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
+_LOAD, _VOLTAGE, _TEMPERATURE = ("joint", "load"), ("joint", "voltage"), ("joint", "temperature")
+_LEAPS: dict[Key, float] = {POSITION: 0.06, COMMAND: 0.1, VELOCITY: 5.0, CURRENT: 5.0, _VOLTAGE: 2.0, _TEMPERATURE: 5.0}
+_LEAPS |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
 """A single reading leaps at least so far, in the unit of its channel."""
 
+_LOST: dict[Key, float] = {VELOCITY: 0.1, COMMAND: 0.1, ORIENTATION: 0.02, RATE: 0.1, FORCE: 1.0, POSITION: 0.02}
+"""Where nothing was read, the rows beside it read at least so much, in the unit of its channel."""
 
-@check("copied channels")
-def copied(view: View) -> Iterator[LogFinding]:
+TURN = 2 * np.pi
+
+
+def are_radians(values: np.ndarray) -> np.ndarray:
+    """Which columns are angles in rad at all: others are reported by checks of the unit."""
+    steps = np.abs(np.diff(values, axis=0))
+    return (np.abs(values).max(0) < 50) & ((steps > 1).mean(0) < 0.05 if len(steps) else True)
+
+
+@check("lost turns", rows=2)
+def lost_turns(view: View) -> Found:
+    """A position or target jumps by whole turns: it was wrapped, or the encoder lost count."""
+    for key, name, values in ((POSITION, "position", view.position), (COMMAND, "target", view.command)):
+        steps = np.diff(values, axis=0)
+        turns = np.round(steps / TURN)
+        jumps = (turns != 0) & (np.abs(steps - turns * TURN) < 1.0)
+        for row, joint in np.argwhere(jumps & are_radians(values))[:1] if jumps.any() else ():
+            count = abs(int(turns[row, joint]))
+            count = "one turn" if count == 1 else f"{count} turns"
+            problem = f"{name} jumps by {count} ({steps[row, joint]:+.3f} rad) at row {row + 2}"
+            remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to move its zero as well"
+            yield view.found((key, joint), problem, remedy, row + 1, error=True)
+
+
+@check("copied channels", rows=20)
+def copied(view: View) -> Found:
     """Two joints have the same numbers in every row."""
-    seen: dict[tuple[str, bytes], int] = {}
+    seen: dict[tuple[Key, bytes], int] = {}
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT):
-        first = seen.setdefault((key[1], np.ascontiguousarray(column).tobytes()), index)
+        first = seen.setdefault((key, np.ascontiguousarray(column).tobytes()), index)
         if first == index or np.ptp(column) <= 0.05 or len(np.unique(column)) <= 20:
             continue
-        told_alike = np.array_equal(view.command[:, first], view.command[:, index])
-        if view.metadata.robot == "simulated" and told_alike:  # twins of a simulation may move alike
+        twins = np.array_equal(view.command[:, first], view.command[:, index])
+        if view.metadata.robot == "simulated" and twins:  # those of a simulation may move alike
             continue
-        severity = ERROR if key == POSITION and not told_alike else WARNING
-        for joint in [j for j in (index, first) if not _fits(view, key[1], j)] or [index]:
-            problem = f"every row has the numbers of {view.name(key, first if joint == index else index)}"
-            yield view.found(severity, (key, joint), problem, "look which of the two it is", aside=key != POSITION)
+        # a velocity is no copy where it is that of its position
+        wrong = [j for j in (index, first) if key == VELOCITY and delayed(view.speed[:, j], column, 0) <= 0.5]
+        for joint in wrong or [index]:
+            problem = f"every row has the numbers of {view.name(key, first + index - joint)}"
+            error, aside = key == POSITION and not twins, key != POSITION
+            yield view.found((key, joint), problem, "look which of the two it is", aside=aside, error=error)
 
 
-def _fits(view: View, kind: str, joint: int) -> bool:
-    """Whether a joint's velocity is that of its position."""
-    if kind != "velocity":
-        return True
-    own = np.gradient(view.position[:, joint], view.time)
-    return float(np.corrcoef(own, view.log.array(VELOCITY)[:, joint])[0, 1]) > 0.5
-
-
-@check("command instead of position")
-def not_measured(view: View) -> Iterator[LogFinding]:
-    """A position is the command itself, number by number: what was told was recorded, and not what was read."""
-    angle, told = view.position, view.command
+@check("command instead of position", rows=20)
+def not_measured(view: View) -> Found:
+    """A position is the command itself, number by number: the goal was recorded, and not what was read."""
+    angle, target = view.position, view.command
     rounding = np.minimum(0.51 * view.steps(POSITION), np.pi / 1024)  # of an encoder
-    late = [
-        (np.abs(angle[n:] - told[: len(told) - n]) <= rounding * (n < 3)).all(0)
-        for n in range(8 if len(view.time) >= 20 else 0)
-    ]
-    same = np.any(late, axis=0) & (np.ptp(told, axis=0) > 0.05) & view.driven.any(0) if late else np.zeros(0, bool)
-    if view.metadata.robot == "simulated":  # which may move as it is told
-        return
-    for joint in np.flatnonzero(same):
-        severity = ERROR if same.all() else WARNING
-        remedy = "record the present position, not the goal"
-        problem = "every row has the number of the command"
-        yield view.found(severity, (POSITION, joint), problem, remedy, aside=severity == WARNING)
+    late = [(np.abs(angle[n:] - target[: len(target) - n]) <= rounding * (n < 3)).all(0) for n in range(8)]
+    same = np.any(late, axis=0) & (np.ptp(target, axis=0) > 0.05) & view.driven.any(0)
+    for joint in np.flatnonzero(same) if view.metadata.robot != "simulated" else ():  # which may follow exactly
+        problem, remedy = "every row has the number of the command", "record the present position, not the goal"
+        yield view.found((POSITION, joint), problem, remedy, aside=not same.all(), error=bool(same.all()))
 
 
 @check("register without its sign")
-def unsigned(view: View) -> Iterator[LogFinding]:
+def unsigned(view: View) -> Found:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
-    for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, ("joint", "load")):
+    for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, _LOAD):
         size = float(view.steps(key)[index]) or _counted(column, CHANNELS[key].quantity.unit)
         if not size or column.max() < 2**10 * size:
             continue
-        counts = np.round(column / size)
-        for bit in (10, 11) if key not in (POSITION, VELOCITY) else ():  # loads and currents of small servos
-            top = counts >= 2**bit
-            apart = np.where(top, counts - 2**bit, counts).max() < 2 ** (bit - 1) and column.min() >= 0
-            if top.any() and not top.all() and apart:
-                problem = f"numbers from {column[top].min():.6g} on have their sign in bit {bit}"
-                yield view.found(WARNING, (key, index), problem, "read sign and size apart", top.argmax(), aside=True)
+        counts, error = np.round(column / size), key == POSITION
+        for bit, least in ((10, 1.0), (11, 1.0), (15, 0.2)):  # of loads and currents of small servos, and of all
+            signed = counts >= 2**bit
+            apart = np.where(signed, counts - 2**bit, counts).max() < least * 2 ** (bit - 1)
+            if signed.any() and not signed.all() and apart and (bit == 15 or (not error and column.min() >= 0)):
+                which = "the highest of 16 bits" if bit == 15 else f"bit {bit}"
+                problem = f"numbers from {column[signed].min():.6g} on have their sign in {which}"
+                remedy, row = "read sign and size apart", signed.argmax()
+                wrong = error and bit == 15
+                yield view.found((key, index), problem, remedy, row, aside=not wrong, error=wrong)
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
-            shifted = column - 2**bits * size - view.command[:, index]
-            if high.all() and key == POSITION and abs(float(np.median(shifted))) < 0.5:
-                problem = f"numbers near {np.median(column):.6g} are negative ones of a {bits}-bit register"
-                yield view.found(ERROR, (key, index), problem, "read the register with its sign", 0)
-            signed = counts >= 2 ** (bits - 1)
-            least = np.where(signed, counts - 2 ** (bits - 1), counts).max() < 2**bits * 0.05
-            if signed.any() and not signed.all() and least and bits == 16:
-                problem = f"numbers from {column[signed].min():.6g} on have their sign in the highest of 16 bits"
-                severity, remedy = ERROR if key == POSITION else WARNING, "read sign and size apart"
-                yield view.found(severity, (key, index), problem, remedy, signed.argmax(), aside=severity == WARNING)
-            if high.any() and not (high.all() or (counts[~high] > 2**bits * 0.1).any() or counts.max() >= 2**bits):
-                problem = f"numbers near {column[high].max():.6g} are negative ones of a {bits}-bit register"
-                severity, remedy = ERROR if key == POSITION else WARNING, "read the register with its sign"
-                yield view.found(severity, (key, index), problem, remedy, high.argmax(), aside=severity == WARNING)
+            shifted = abs(float(np.median(column - 2**bits * size - view.command[:, index]))) < 0.5
+            mixed = not high.all() and not (counts[~high] > 2**bits * 0.1).any() and counts.max() < 2**bits
+            if (error and shifted) if high.all() else (high.any() and mixed):
+                number = np.median(column) if high.all() else column[high].max()
+                problem = f"numbers near {number:.6g} are negative ones of a {bits}-bit register"
+                remedy, row = "read the register with its sign", high.argmax()
+                yield view.found((key, index), problem, remedy, row, aside=not error, error=error)
 
 
 def _counted(column: np.ndarray, si_unit: str) -> float:
@@ -112,18 +108,18 @@ def _counted(column: np.ndarray, si_unit: str) -> float:
 
 
 @check("single readings")
-def spikes(view: View) -> Iterator[LogFinding]:
+def spikes(view: View) -> Found:
     """A reading leaps away for a row and comes back, or a target for up to three rows."""
-    for key, index, column in view.columns(POSITION, COMMAND, *_LEAST):
-        column = np.unwrap(column) if key == ORIENTATION else column
-        least = max(0.06, 5 * view.interval) if key == POSITION else 0.1 if key == COMMAND else _LEAST[key]
+    for key, index, column in view.columns(*_LEAPS):
+        column, sent, angle = np.unwrap(column) if key == ORIENTATION else column, key == COMMAND, key == POSITION
+        least = max(_LEAPS[key], 5 * view.interval * angle)
         if np.abs(np.diff(column)).max() <= least:
             continue
-        of_angles = key in (ORIENTATION, POSITION, COMMAND)
-        changes = np.diff(column, 2) / 2 if key in (POSITION, COMMAND) else np.diff(column)
+        changes = np.diff(column, 2) / 2 if sent or angle else np.diff(column)
         away, some = column - np.median(column), 1 + len(column) // 20_000
         usual, level = (float(np.quantile(np.abs(x[::some]), 0.95)) for x in (changes, away))
-        for rows in range(1, 2 + min(2, round(0.03 / view.interval) - 1)) if key == COMMAND else (1,):
+        least = max(12 * usual, least, 0.0 if sent or angle or key == ORIENTATION else 3 * level)
+        for rows in range(1, 2 + min(2, round(0.03 / view.interval) - 1)) if sent else (1,):
             there, back = column[1:-rows] - column[: -rows - 1], column[rows:-1] - column[rows + 1 :]
             size = np.minimum(np.abs(there), np.abs(back))
             size *= np.abs(column[rows + 1 :] - column[: -rows - 1]) < 0.5 * size  # it comes back
@@ -133,41 +129,39 @@ def spikes(view: View) -> Iterator[LogFinding]:
                 turned = np.linalg.norm(rate[2:] - rate[:-2], axis=1)
                 size *= turned <= np.quantile(turned, 0.98)
             row = int(size.argmax()) + 1
-            often = key == COMMAND and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
-            if size[row - 1] > max(12 * usual, 0 if of_angles else 3 * level, least) and not often:
-                what = "a target" if key == COMMAND else "a single reading"
-                problem = f"{what} of {column[row]:.4g} stands between {column[row - 1]:.4g} and "
-                problem += f"{column[row + rows]:.4g}"
-                aside = key not in (POSITION, COMMAND)
-                remedy = "leave the row out" + ("; until then the channel is not used" if aside else "")
-                yield view.found(WARNING, (key, index), problem, remedy, row, row + rows - 1, aside=aside)
+            often = sent and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
+            if size[row - 1] > least and not often:
+                problem = f"{'a target' if sent else 'a single reading'} of {column[row]:.4g} stands between "
+                problem += f"{column[row - 1]:.4g} and {column[row + rows]:.4g}"
+                remedy, aside = "leave the row out", not (sent or angle)
+                remedy += "; until then the channel is not used" if aside else ""
+                yield view.found((key, index), problem, remedy, row, row + rows - 1, aside=aside)
                 break
 
 
-@check("zeros")
-def zeros(view: View) -> Iterator[LogFinding]:
+@check("zeros", rows=20)
+def zeros(view: View) -> Found:
     """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there. Or a
     target is 0 there, where none was sent."""
-    for key, joint, column in view.columns(VELOCITY, COMMAND):
-        before, after = column[:-2], column[2:]
-        least = max(0.1, 15 * float(view.steps(key)[joint]))
-        gone = (column[1:-1] == 0) & (np.minimum(np.abs(before), np.abs(after)) > least) & (before * after > 0)
-        if gone.sum() > 2:
-            problem = f"it is 0 in {gone.sum()} single rows, and not beside them: nothing was read there, or sent"
-            remedy = "leave these rows out" + ("; until then the channel is not used" if key == VELOCITY else "")
-            yield view.found(WARNING, (key, joint), problem, remedy, gone.argmax() + 1, aside=key == VELOCITY)
-    for key, least in ((ORIENTATION, 0.02), (RATE, 0.1), (FORCE, 1.0), (POSITION, 0.02)):
+    for key, least in _LOST.items():
         values = view.get(key)
-        if values is None or len(values) < 20 or values.shape[1] < 2:
+        if values is None:
             continue
-        away = np.abs(values).max(1)
-        empty, least = away == 0, max(least, 15 * float(view.steps(key).max()))
-        first = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]]).astype(np.int8)))
-        inside = [(a, b) for a, b in first.reshape(-1, 2) if a > 0 and b < len(values)]
-        lost = [(a, b) for a, b in inside if b - a <= 10 and min(away[a - 1], away[b]) > least]
-        if lost:
-            rows = sum(b - a for a, b in lost)
-            problem = f"all of it is 0 in {rows} rows, and not beside them: nothing was read there"
-            for index in range(values.shape[1]) if key != POSITION else [0]:
-                remedy = "leave these rows out"
-                yield view.found(WARNING, (key, index), problem, remedy, lost[0][0], lost[0][1] - 1)
+        if key in (VELOCITY, COMMAND):  # of each joint, while it goes on in its direction
+            before, after = values[:-2], values[2:]
+            near = np.minimum(np.abs(before), np.abs(after)) > np.maximum(least, 15 * view.steps(key))
+            gone = (values[1:-1] == 0) & near & (before * after > 0)
+            for joint in np.flatnonzero(gone.sum(0) > 2).tolist():
+                rows = gone[:, joint].sum()
+                problem = f"it is 0 in {rows} single rows, and not beside them: nothing was read there, or sent"
+                remedy, aside = "leave these rows out", key == VELOCITY
+                remedy += "; until then the channel is not used" if aside else ""
+                yield view.found((key, joint), problem, remedy, gone[:, joint].argmax() + 1, aside=aside)
+        elif values.shape[1] > 1:
+            away, least = np.abs(values).max(1), max(least, 15 * float(view.steps(key).max()))
+            inside = [(a, b) for a, b in runs(away == 0).tolist() if a > 0 and b < len(values) and b - a <= 10]
+            lost = [(a, b) for a, b in inside if min(away[a - 1], away[b]) > least]
+            for index in range(1 if key == POSITION else values.shape[1]) if lost else ():
+                rows = sum(b - a for a, b in lost)
+                problem = f"all of it is 0 in {rows} rows, and not beside them: nothing was read there"
+                yield view.found((key, index), problem, "leave these rows out", lost[0][0], lost[0][1] - 1)

@@ -1,54 +1,152 @@
-"""Checks of what numbers can be at all."""
+"""Checks of what angles and other numbers can be at all: turns, limits, zeros, steps and speeds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from op3.rollout.health.finding import COMMAND, CURRENT, ERROR, POSITION, VELOCITY, WARNING, LogFinding, View, check
-from op3.rollout.health.match import SURE, match_rates
+from op3.robot.robot import Robot
+from op3.rollout.errors import LogError
+from op3.rollout.health.commands import exchanged
+from op3.rollout.health.match import GIVES, SURE, fitted
+from op3.rollout.health.numbers import TURN, are_radians
+from op3.rollout.health.view import COMMAND, CURRENT, P_GAIN, POSITION, VELOCITY, VOLTAGE, Found, View, check
+from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
 
-_ASIDE = ("velocity", "current", "duty", "voltage", "temperature")
-"""Channels of a joint that a log can do without."""
-
-_FASTEST, _JUMP = 40.0, 0.15
-"""A position that changes from row to row by more than this speed allows [rad/s], and this much beside it [rad], has
-jumped; what was not read for some rows may come in one."""
-
-_SPIKE = 0.12
-"""No change from row to row differs from those beside it by more, unless they differ among themselves [rad]."""
-
-_RARELY, _SMOOTH = 0.1, 0.5
-"""A joint that turns on and on is beyond the bound in fewer of its rows, and moves by less from row to row [rad]."""
-
-_SHORT = 0.025
-"""In a longer time from row to row [s] a joint may come to a new place and stop there."""
+_ASIDE = ("velocity", "current", "duty", "voltage", "temperature")  # channels of a joint that a log can do without
+_ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}  # steps of the roughest servos: Feetech STS, and HLS
+_RARELY, _SMOOTH = 0.1, 0.5  # a joint that turns on is beyond the bound in fewer rows, and moves by less a row [rad]
+_FASTEST, _JUMP = 40.0, 0.15  # no position is faster [rad/s] by more [rad]; what was not read may come in one row
+_SPIKE = 0.12  # no change from row to row differs from those beside it by more, unless they differ themselves [rad]
+_SHORT = 0.025  # in a longer time from row to row [s] a joint may come to a new place and stop there
 
 
-_ROUGHEST = {VELOCITY: 100 * np.pi / 4096, CURRENT: 0.0065}
-"""Steps in which the roughest servos tell: Feetech STS [rad/s], and HLS [A]."""
+@check("limits of the robot")
+def beyond_limits(view: View) -> Found:
+    """A joint is mostly where its robot's file says that it cannot go: its sign or its zero is another."""
+    if view.metadata.robot_file is None:
+        return
+    try:
+        known = view.log.named_robot
+    except LogError:  # the check of the robot reports it
+        return
+    names = [name for name in view.joints if name in known.joints]
+    angles, (low, high) = dict(zip(view.joints, view.position.T, strict=True)), known.limits[known.indices(names)].T
+    table = np.stack([angles[name] for name in names], axis=1) if names else np.zeros((1, 0))
+    out, back = (((x < low - 0.1) | (x > high + 0.1)).mean(0) for x in (table, -table))
+    mirrored = [name for name, share, other in zip(names, out, back, strict=True) if share > 0.5 and other < 0.05]
+    for at in np.flatnonzero(out > 0.5):
+        problem = f"{out[at]:.0%} of the positions lie outside {low[at]:.2f} to {high[at]:.2f} rad, where "
+        problem, remedy = f"{problem}{known.name} ends", "look at its sign and its zero"
+        if names[at] in mirrored:
+            problem += f"; with its sign turned round they would not{_turned_round(known, angles, mirrored)}"
+            remedy = "write `sign: -1` for positions, targets, velocities and currents of these joints"
+        yield view.found((POSITION, view.joints.index(names[at])), problem, remedy)
+
+
+def _turned_round(robot: Robot, angles: dict[str, np.ndarray], wrong: list[str]) -> str:
+    """Which other joints of the same sides stand as their partners' mirror images with the sign turned round, and which
+    stand too near to 0 to say, in words."""
+    sides, turned, unseen = {name.split("_")[0] for name in wrong}, [], []
+    for name in (n for n in angles if n in robot.joints and n not in wrong and n.split("_")[0] in sides):
+        partner, sign = robot.mirror[name] if robot.partners else (name, 1)
+        if name == partner or partner not in angles:
+            continue
+        mean, other = float(angles[name].mean()), sign * float(angles[partner].mean())
+        if max(abs(mean), abs(other)) < 0.1:
+            unseen.append(name)
+        elif abs(mean + other) < 0.3 * abs(mean - other):
+            turned.append(name)
+    text = f", and by their partners so are those of {', '.join(turned)}" if turned else ""
+    return text + (f" ({', '.join(unseen)} stand too near 0 to say)" if turned and unseen else "")
+
+
+@check("constant offset", rows=20, unless="position against command")
+def constant_offset(view: View) -> Found:
+    """A joint stands off its command by the same angle in every pose: a turn, a homing offset, another zero, or a sign.
+
+    Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
+    """
+    driven = (view.driven.mean(0) > 0.5) & are_radians(view.position) & are_radians(view.command)
+    joints = np.setdiff1d(np.flatnonzero(driven), list(exchanged(view))).tolist()
+    middle = {joint: float(np.median(view.error[view.driven[:, joint], joint])) for joint in joints}
+    sags, gain, current = _sags(view), view.get(P_GAIN), view.get(CURRENT)
+    for joint, offset in middle.items():
+        rows, sag = view.driven[:, joint], sags[joint]
+        off, at, angle, speed = (table[rows, joint] for table in (view.error, view.command, view.position, view.speed))
+        others = [abs(other) for name, other in middle.items() if name != joint]
+        if (turns := round(offset / TURN)) and abs(offset - turns * TURN) < 1.0 and np.ptp(off) < np.pi:
+            problem = f"the position is {offset:+.3f} rad away from the command, about {turns:+.0f} turn"
+            yield view.found((POSITION, joint), problem, "write `unwrap: true` into its YAML", error=True)
+            continue
+        if len(others) >= 3:
+            odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
+            odd |= abs(offset) > max(GIVES, 5 * float(off.std()))
+        else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
+            moves = np.ptp(np.sin(angle)) > 0.5
+            causes = np.stack([np.ones(len(angle)), np.sin(angle), speed], axis=1)
+            fit = fitted(causes, off) if moves else np.array([offset, 0.0, 0.0])
+            offset = float(fit[0])
+            odd = abs(offset) > max(0.2 if moves else GIVES, 3 * float((off - causes @ fit).std()))
+        yields = 0.3 < offset / (sag or np.inf) < 3.0
+        if gain is not None and current is not None:  # damping has no mean
+            pulled = -gain[rows, joint] * off
+            yields |= abs(np.median(current[rows, joint] - pulled)) < 0.5 * abs(np.median(pulled))
+        dead = np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2  # a dead sensor is another check's
+        if dead or yields or not odd:
+            continue
+        mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
+        cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
+        how = "sign: -1" if mirrored else f"offset: {-offset:.4g}"
+        remedy = f"write `{how}` for its position under `columns:` in the YAML, or correct it in the servo"
+        if np.isnan(sag) and not mirrored:
+            cause += ", where it is not what the joint carries"
+            remedy += "; what it carries changes with the pose, and a zero does not"
+        problem = f"the joint stands {offset:+.3f} rad off its command in every pose: {cause}"
+        yield view.found((POSITION, joint), problem, remedy)
+
+
+def _sags(view: View) -> np.ndarray:
+    """How far gravity takes each joint off its command, by the robot's masses and its servos' stiffness [joint] in rad;
+    NaN where the robot, its servo or its gain is unknown, or where it stands on its feet."""
+    sags, rows = np.full(len(view.joints), np.nan), np.linspace(0, len(view.time) - 1, 9).astype(int)
+    try:
+        robot = view.log.robot if view.metadata.robot_file and view.metadata.mount in HOLDING else None
+    except LogError:  # the check of the robot reports it
+        robot = None
+    if robot is None or not set(view.joints) <= set(robot.joints):
+        return sags
+    columns, volts = robot.indices(view.joints), view.get(VOLTAGE)
+    pose = np.tile(robot.home, (len(rows), 1))
+    pose[:, columns] = view.position[rows]
+    weight = np.median([robot.gravity(angles)[columns] for angles in pose], axis=0)
+    for joint, make in enumerate(view.log.servos):
+        gain = view.get(("command", "p_gain" if make is not None and make.loop == "current" else "firmware_gain"))
+        if make is None or gain is None:
+            continue
+        stiffness = float(np.median(gain[:, joint])) * make.output_constant
+        if make.loop == "firmware":
+            assert make.position_law is not None
+            supply = make.supply.si if volts is None or not volts[:, joint].any() else float(np.median(volts[:, joint]))
+            stiffness *= make.position_law.error_gain.si * supply / make.motor.terminal_resistance.si
+        sags[joint] = -weight[joint] / stiffness if stiffness else np.nan
+    return sags
 
 
 @check("coarse steps")
-def coarse(view: View) -> Iterator[LogFinding]:
+def coarse(view: View) -> Found:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
-    make = view.make
-    exact = view.position_unit
-    own = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
-    for key, usual, least in (
-        (POSITION, exact, 0.008 if make is None else 4 * exact),
-        *((k, u, 4 * u) for k, u in _ROUGHEST.items()),
-    ):
+    make, exact = view.make, view.position_unit
+    counts = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
+    for key, usual in {POSITION: exact, **_ROUGHEST}.items():
         steps = view.steps(key) if key in view.log else np.zeros(0)
-        most = CHANNELS[key].quantity.bound
+        least = 0.008 if key == POSITION and make is None else 4 * usual
         for joint in np.flatnonzero(steps):
-            if key != POSITION and np.abs(view.log.array(key)[:, joint]).max() > most:
-                continue  # in another unit, which its bound tells
+            if key != POSITION and np.abs(view.log.array(key)[:, joint]).max() > CHANNELS[key].quantity.bound:
+                continue  # in another unit, which its bound reports
             unit = likely_unit(float(steps[joint] / exact), "rad", 0.003) if key == POSITION else None
-            parts = float(steps[joint] / count) if (count := own.get(key)) else 1.0
+            parts = float(steps[joint] / count) if (count := counts.get(key)) else 1.0
             whole = round(parts) if parts > 1 else 1 / round(1 / parts)
             decimal = abs(np.log10(steps[joint]) - np.round(np.log10(steps[joint]))) < 1e-3
             if unit and not exact / 2 < steps[joint] <= least:  # else of a finer encoder, or this one
@@ -60,102 +158,80 @@ def coarse(view: View) -> Iterator[LogFinding]:
             else:
                 continue
             problem = f"the numbers come in steps of {steps[joint]:.4g}, where a servo's are {problem}"
-            yield view.found(ERROR if unit else WARNING, (key, joint), problem, remedy)
+            yield view.found((key, joint), problem, remedy, error=bool(unit))
 
 
 @check("bounds")
-def bounds(view: View) -> Iterator[LogFinding]:
+def bounds(view: View) -> Found:
     """A value is beyond what its unit allows, in single rows or throughout."""
+    near = np.median(np.abs(view.error), axis=0) < 1.0
     for key in view.log.channels:
-        quantity, values = CHANNELS[key].quantity, view.log.array(key)
+        quantity, values, angles = CHANNELS[key].quantity, view.log.array(key), key in (POSITION, COMMAND)
         if quantity.binary or (-quantity.bound <= values.min() and values.max() <= quantity.bound):
             continue
-        wrong = np.abs(values) > quantity.bound
-        if key in (POSITION, COMMAND):
+        wrong, most = np.abs(values) > quantity.bound, np.abs(values).max(0)
+        if angles:
             counts = (view.position - view.position[0]) / view.position_unit
             exact = np.abs(counts - np.round(counts)).max(0) < 0.02  # an encoder's in rad, as in no other unit
-            near = np.median(np.abs(view.position - view.command), axis=0) < 1.0
-            wrong &= ~(_goes_round(view, quantity.bound) | (exact & near))
+            wrong &= ~((_goes_round(view, quantity.bound) | exact) & near)
         if not len(names := np.flatnonzero(wrong.any(0))):
             continue
         single = float(wrong[:, names].mean()) < 0.02 and len(values) > 50
         few = key[0] == "joint" and key[1] in _ASIDE and (2 * len(names) < wrong.shape[1] or single)
         for index in names if few else names[:1]:
-            row = int(wrong[:, index].argmax())
-            column, remedy = values[:, index], quantity.remedy
-            if key in (POSITION, COMMAND) and view.metadata.robot_file is None:
+            row, column = int(wrong[:, index].argmax()), values[:, index]
+            likely, remedy, error = quantity.mistake, quantity.remedy, not few
+            if angles and view.metadata.robot_file is None:
                 remedy += ", or give robot=<file> where a robot's file says their unit"
-            likely = _likely(column, quantity.mistake)
-            problem = f"{column[row]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
-            turns = key in (POSITION, COMMAND) and wrong[:, index].mean() < _RARELY and np.abs(column).max() < 4 * np.pi
-            if turns and np.abs(np.diff(column)).max() < _SMOOTH:
-                likely, remedy = "goes there without a jump", "look whether its unit is the radian"
+            alone = (most > quantity.bound).sum() == 1 < len(most) - 1
+            rarely = wrong[:, index].mean() < _RARELY and most[index] < 4 * np.pi
+            if angles and rarely and np.abs(np.diff(column)).max() < _SMOOTH:
+                likely, remedy, error = "goes there without a jump", "look whether its unit is the radian", False
             elif single:
                 likely, remedy = "stands there in single rows", "leave these rows out"
-            elif key in (POSITION, COMMAND) and _opens(values, int(index), quantity.bound):
+            elif angles and alone and column.min() >= -1 and quantity.bound < column.max() <= 101:
                 likely = "looks like percent of a gripper's opening, as no other joint is"
                 remedy = "write its range in rad over 100 as `unit:` of the column under `columns:` in the YAML"
-            severity = WARNING if few or likely.startswith("goes") else ERROR
-            yield view.found(severity, (key, index), f"{problem} and {likely}", remedy, row, aside=few)
-
-
-def _opens(values: np.ndarray, joint: int, bound: float) -> bool:
-    """Whether one of several joints alone leaves the bound, between 0 and 100."""
-    far, column = np.abs(values).max(0) > bound, values[:, joint]
-    return bool(far.sum() == 1 < len(far) - 1 and column.min() >= -1 and bound < column.max() <= 101)
+            elif "degrees" in likely and "per second" not in likely and most[index] > 360 and not (column % 1).any():
+                likely = "looks like counts of an encoder"
+            problem = f"{column[row]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
+            yield view.found((key, index), f"{problem} and {likely}", remedy, row, aside=few, error=error)
 
 
 def _goes_round(view: View, bound: float) -> np.ndarray:
-    """Which joints turn more than once: their targets, and their velocities in rad/s, say so too, and most joints do
-    not, ``[joint]``."""
-    far, rate = np.abs([view.position, view.command]).max((0, 1)) > bound, view.get(VELOCITY)
-    told = None if rate is None else match_rates(view.time, rate, view.position)
-    if told is None or 2 * far.sum() >= len(far):
+    """Which joints turn more than once: their velocities in rad/s say so too, and most joints do not, ``[joint]``."""
+    far, fit = np.abs([view.position, view.command]).max((0, 1)) > bound, view.rates
+    if fit is None or 2 * far.sum() >= len(far):
         return np.zeros(len(far), bool)
-    agree = (np.diagonal(told.correlation) > SURE) & (np.abs(np.diagonal(told.ratio) - 1) < 0.1)
-    return far & agree & (np.median(np.abs(view.position - view.command), axis=0) < 1.0)
+    return far & (np.diagonal(fit.correlation) > SURE) & (np.abs(np.diagonal(fit.ratio) - 1) < 0.1)
 
 
-def _likely(values: np.ndarray, mistake: str) -> str:
-    """What values beyond their bound look like."""
-    whole = bool((values == np.round(values)).all())
-    counts = "degrees" in mistake and "per second" not in mistake and whole and np.abs(values).max() > 360
-    return "looks like counts of an encoder" if counts else mistake
-
-
-@check("impossible speed", unless=("bounds",))
-def impossible_speed(view: View) -> Iterator[LogFinding]:
+@check("impossible speed", rows=2, unless="bounds")
+def impossible_speed(view: View) -> Found:
     """A position moves further from row to row than any servo does, or leaps where it moves evenly before and after."""
     steps, taken = np.diff(view.position, axis=0), np.diff(view.time)
-    if not len(steps):
-        return
     row = np.arange(len(steps))[:, None]
     moved = np.maximum.accumulate(np.where(steps != 0, row, -1), axis=0)
     stood = np.concatenate([np.zeros((1, steps.shape[1])), row[:-1] - moved[:-1]])  # rows before with nothing new
     far = np.abs(steps) > _FASTEST * taken[:, None] * (1 + stood) + _JUMP
     rows, joints = np.nonzero(np.abs(steps[3:-3]) > _SPIKE)
     rows = rows + 3
-    beside = steps[rows[:, None] + np.array([-3, -2, -1, 1, 2, 3]), joints[:, None]]
+    leap, beside = steps[rows, joints], steps[rows[:, None] + np.array([-3, -2, -1, 1, 2, 3]), joints[:, None]]
     usual = np.median(beside, axis=1)
     # the largest difference beside it may be that of the way back
     spread = np.sort(np.abs(beside - usual[:, None]), axis=1)[:, -2]
     typical = np.array([np.quantile(np.abs(s[s != 0]), 0.95) if s.any() else 0.0 for s in steps.T])
     spread = np.where(spread > 0, spread, typical[joints])  # where it stands, or is read more rarely
-    leap = np.abs(steps[rows, joints] / (1 + stood[rows, joints]) - usual)
-    back = np.abs(beside[:, 2:4] + steps[rows, joints][:, None]).min(1) < 0.3 * np.abs(steps[rows, joints])
-    even = (taken < 1.5 * view.interval)[rows]
-    alone = (np.abs(steps[rows, joints] - usual) > _SPIKE) & (leap > 8 * spread)
-    far[rows, joints] |= alone & even & (back | (view.interval < _SHORT))
+    back = np.abs(beside[:, 2:4] + leap[:, None]).min(1) < 0.3 * np.abs(leap)
+    alone = (np.abs(leap - usual) > _SPIKE) & (np.abs(leap / (1 + stood[rows, joints]) - usual) > 8 * spread)
+    far[rows, joints] |= alone & (taken < 1.5 * view.interval)[rows] & (back | (view.interval < _SHORT))
     for at, joint in np.argwhere(far)[:1]:
         returns = at > 0 and abs(steps[at - 1, joint] + steps[at, joint]) < 0.3 * abs(steps[at, joint])
         at = at - 1 if returns else at
         problem = f"position jumps by {steps[at, joint]:+.3f} rad in one row, faster than a servo moves"
         remedy = "leave out the row, or repair the encoder or the bus"
-        told = np.abs(np.diff(view.command, axis=0)[max(at - 10, 0) : at + 10, joint])
-        if (
-            not returns
-            and told.max() == abs(view.command[at + 1, joint] - view.command[at, joint]) > 5 * np.median(told) > 0
-        ):
+        sent, near = np.abs(np.diff(view.command[:, joint])), slice(max(at - 10, 0), at + 10)
+        if not returns and sent[near].max() == sent[at] > 5 * np.median(sent[near]) > 0:
             problem += ", and its command with it: rows are missing there, and the times do not say so"
             remedy = "look for lost rows, and write the times that were measured"
-        yield view.found(ERROR, (POSITION, joint), problem, remedy, at + 1)
+        yield view.found((POSITION, joint), problem, remedy, at + 1, error=True)

@@ -1,0 +1,125 @@
+"""Checks of positions against commands: whose they are, and of what unit and sign."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
+
+from op3.rollout.health.match import SURE, delays, match
+from op3.rollout.health.view import COMMAND, POSITION, Found, View, check
+from op3.rollout.metadata import HOLDING
+from op3.rollout.units import UNITS, likely_unit
+
+_MORE, _MOST = 1.4, 1.9  # a servo moves less than so many times as far as its command: 1.18 in 3,400 sound joints
+_SOFT = 0.3  # servos that follow their commands at all move so far, in parts of it: the softest of a bench
+_PERIOD = 0.02  # time from row to row in which motions are looked at [s]
+_SIGNS = "write `sign: -1` under `columns:` in the YAML for its position and velocity, or for its target"
+_GEAR = "look at the resolution and the gear ratio by which it was converted"
+
+
+def exchanged(view: View) -> dict[int, int]:
+    """Joints that are where others are commanded to be, round in a circle, and whose command each follows. All others
+    follow their own; where commands are alike, whose a position is makes no difference."""
+    rows = np.flatnonzero(view.driven.all(1))
+    rows = rows[:: 1 + len(rows) // 1000]
+    if len(rows) < 20:
+        return {}
+    apart = np.median(np.abs(view.position[rows, :, None] - view.command[rows, None, :]), axis=0)
+    own, nearest, joints = np.diagonal(apart), linear_sum_assignment(apart)[1], np.arange(len(apart))
+    rest = own[nearest == joints]
+    _, circle = connected_components(np.eye(len(own))[nearest])
+    size = np.bincount(circle)[circle]
+    off, there = (np.bincount(circle, distance)[circle] / size for distance in (own, apart[joints, nearest]))
+    found = (there < 0.25 * off) & (off > max(0.15, 5 * np.quantile(rest, 0.75) if len(rest) else 0.0))
+    return {joint: int(nearest[joint]) for joint in np.flatnonzero(found).tolist()}
+
+
+@check("position against command")
+def command(view: View) -> Found:
+    """Position and command differ in unit or sign, belong to different joints, or the command says how far to go."""
+    circles, wrong = exchanged(view), not view.metadata.fallen  # limbs of a robot that falls are flung about
+    for joint, other in circles.items():
+        which = "of the two" if circles.get(other) == joint else "of several joints"
+        problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
+        yield view.found((POSITION, joint), problem, "exchange their names under `columns:` in the YAML", error=wrong)
+    angle, target, driven, _ = view.thinned(_PERIOD)
+    driven = np.all(driven, axis=1)
+    if driven.sum() < 20:
+        return
+    lags = [n for n in range(0, 26, 2) if n < len(angle) // 4] or [0]
+    matches = [match(angle[n:][driven[n:]], target[: len(target) - n][driven[n:]]) for n in lags]
+    every = np.stack([m.correlation for m in matches])
+    own, best, least = np.diagonal(every, axis1=1, axis2=2), every.max(0), every.min(0)
+    itself, signed = np.diagonal(best), np.where(best >= -least, best, least)
+    moved, asked = np.array([np.ptp(table[driven], axis=0) for table in (angle, target)])
+    # whose command explains a position much better than its own; where columns were exchanged, that joint has such a
+    # one as well
+    foreign = np.where((asked > 0.05) & ~np.eye(len(best), dtype=bool), np.abs(signed), -1.0)
+    leader, strength = foreign.argmax(1), foreign.max(1)
+    follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
+    # one that is shaken by another's motion is no swap: that other follows its own command, or a third one's
+    _, circle = connected_components(np.eye(len(best))[leader] * follows[:, None], connection="strong")
+    # or the other stands, and this one moves: what is only shaken in step with a command moves by less
+    alone = (asked <= 0.05) & (moved < 0.5 * asked)[leader] & (moved > 0.5 * asked[leader])
+    swapped = follows & ((np.bincount(circle)[circle] > 1) | alone)
+    steps = [match(angle[n:] - angle[:-n], target[:-n]) for n in lags if n and driven.all()]
+    change = np.max([np.diagonal(m.correlation) for m in steps], axis=0) if steps else np.zeros(len(itself))
+    relative = (asked > 1e-3) & (moved > 0.05) & (target.std(0) < 0.6 * angle.std(0))
+    relative &= (change > SURE) & (1 - change < 0.3 * (1 - itself))
+    for joint in np.flatnonzero(relative):
+        problem = "the command is how far the joint is to move, and not where to"
+        yield view.found((COMMAND, joint), problem, "record the position plus the command as the target", error=wrong)
+
+    def late(joint: int) -> bool:
+        """Whether a command that comes after it explains a position better than its mirror image."""
+        most = min(51, len(angle) // 4)
+        return delays(target[:, joint], angle[:, joint], range(most)).max() > -own[:, joint].min()
+
+    # of a motion that does not follow well; on the feet of a robot the weight may turn soft joints so
+    against = (moved > 0.05) & (own[0] < -0.7) & (own[:6].max(0) < -0.3) & (view.metadata.mount in HOLDING)
+    explained = {*circles, *np.flatnonzero(relative)}  # what else there is to say follows from that
+    for joint in (int(j) for j in np.flatnonzero((asked > 0.05) | (moved > 0.05)) if j not in explained):
+        sure, ratio = float(itself[joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
+        other, error = view.joints[leader[joint]] if swapped[joint] else None, wrong
+        turns = ", and the sign of one is turned round" if signed[joint, leader[joint]] < 0 else ""
+        moves = asked[joint] > 0.05
+        if moves and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
+            unit = _unit(view, joint, ratio) if ratio > 0 else None
+            problem = f"the position moves {ratio:.3g} times as far as its command{f', as if {unit}' if unit else ''}"
+            remedy = "convert both to radians (57.3 is degrees)" if unit else _GEAR
+        elif moves and sure > 0.97 and ratio > _MORE:
+            problem, remedy, error = f"the position moves {ratio:.3g} times as far as its command", _GEAR, False
+        elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late(joint):
+            problem, remedy = "the position moves against its command: the sign of one of them is turned round", _SIGNS
+            problem += f", or it was swapped with that of {other}" if other else ""
+        elif moves and against[joint] and not late(joint):
+            problem, remedy = f"the position moves against its command (correlation {own[0, joint]:.2f})", _SIGNS
+            error = False
+        elif other:
+            problem = f"the position follows the command of {other}: the columns of the two are swapped{turns}"
+            remedy = "exchange their names under `columns:` in the YAML"
+        else:
+            continue
+        yield view.found((POSITION, joint), problem, remedy, error=error)
+
+
+def _unit(view: View, joint: int, ratio: float) -> str | None:
+    """Whether a position or its command is in another unit, in words; None where no unit or more than one fits.
+
+    A soft servo moves less than its command, but its velocity says how far, and so do the steps of its encoder. The
+    position moves `ratio` times as far as its command.
+    """
+    causes = [("it", unit, size) for unit, size in UNITS["rad"].items() if _SOFT < ratio * size < _MORE]
+    causes += [("the command", unit, size) for unit, size in UNITS["rad"].items() if _SOFT < ratio / size < _MORE]
+    step, fit = float(view.steps(POSITION)[joint]), view.rates
+    if fit is not None and fit.correlation[joint, joint] > SURE:
+        speed = fit.ratio[joint, joint]
+        causes = [cause for cause in causes if abs(np.log(speed / (cause[2] if cause[0] == "it" else 1.0))) < 0.1]
+    if sum(who == "it" for who, *_ in causes) > 1 and step:
+        exact = [c for c in causes if c[0] != "it" or abs(np.log(step * c[2] / view.position_unit)) < 0.01]
+        causes = exact if any(who == "it" for who, *_ in exact) else causes
+    if len(causes) > 1:
+        nearest = likely_unit(max(ratio, 1 / ratio), "rad", 0.2)
+        causes = [cause for cause in causes if cause[1] == nearest]
+    return f"{causes[0][0]} were in {causes[0][1]}" if causes else None

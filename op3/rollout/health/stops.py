@@ -1,0 +1,349 @@
+"""Checks of what stops: channels that stand still or at their largest number, and joints that let go."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import detrend
+
+from op3.rollout.health.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
+from op3.rollout.health.view import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, VELOCITY, Found, View, check
+from op3.rollout.metadata import HOLDING
+from op3.rollout.schema import CHANNELS
+
+_VOLTAGE, _TEMPERATURE = ("joint", "voltage"), ("joint", "temperature")
+_SHAKEN = 0.1  # accelerations of a trunk that is held spread by no more [m/s2]; 0.08 in 179 logs, and 0.44 on the feet
+_SETTLES = 0.5  # a servo has reached a target that stands [s]
+_UNUSED = "the channel is not used"
+_PERIOD = 0.02  # time from row to row in which motions are looked at [s]
+_UNRELATED = 0.5  # no correlation with its command at the best delay is below: 0.57 in 3,400 joints of sound logs
+_LETS_GO = 0.14  # shortest time for which a joint that lets go is reported [s]
+_RECENT = (0.12, 0.25)  # a joint that follows, quick or slow, is between its least and largest target of that [s]
+_PUSHES = 0.3  # a servo that gives so much of its usual current has not let go, but friction or an obstacle holds it
+
+_FAR, _TIMES = 0.1, 3.0  # a joint that lets go is so far beyond these [rad], and so many times as far as otherwise
+_CARRIED = 2.5  # if its range of motion on the way there is so many times that distance, it only yields to its load
+_WITHIN, _PULLS, _SPEEDS = 0.1, 0.15, 0.25  # a driven joint comes nearer by so much of it, or of its fastest, in [s]
+
+_LEAVE = "leave this time out, and look at the servo's supply, its errors and its torque switch"
+
+
+@check("saturated", unless="stale readings")
+def saturated(view: View) -> Found:
+    """A rate or acceleration is cut off at its largest number."""
+    for key, index, column in view.columns(VELOCITY, RATE, FORCE):
+        top, size = np.abs(column).max(), float(view.steps(key)[index])
+        flat = np.abs(column) == top
+        within = flat[1:-1] & flat[:-2] & flat[2:]
+        first, length = longest_run(flat)
+        if top < 3 * size or not top or not max(0.002, 3 / len(flat)) < within.mean() < 0.6:
+            continue
+        last, faster = first + length - 1, 0.0
+        if key == VELOCITY and (np.diff(within.astype(int)) == 1).sum() > 1:  # one stretch is a channel that stood
+            turned = np.abs(view.position[2:, index] - view.position[:-2, index])[within]
+            count = float(view.steps(POSITION)[index]) * np.sqrt(len(turned))
+            faster = float((turned.sum() - count) / (view.time[2:] - view.time[:-2])[within].sum())
+        aside = faster > 1.15 * top + size  # less may be a scale
+        ends = ((first, first - 1), (last, last + 1))
+        beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
+        if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
+            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "where it came and left fast"
+            problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is cut off"
+            remedy = "choose a larger range of the sensor, or slower motions"
+            yield view.found((key, index), problem, remedy, first, last, aside=aside)
+
+
+@check("stands still", rows=21)
+def stands_still(view: View) -> Found:
+    """A channel keeps one number while the joint moves, or a position while its command travels far."""
+    rows = round(0.2 / view.interval)
+    if not rows:
+        return
+    yield from _sensors_stand(view, rows)
+    for joint, (first, last, moved) in commands_stop(view).items():
+        problem = f"the target does not change for {last - first} rows, while the joint goes on by {moved:.3g} rad"
+        remedy = "record what was sent, or cut the log here; look for a torque that was off"
+        yield view.found((COMMAND, joint), problem, remedy, first, last)
+    for _, joint, velocity in view.columns(VELOCITY):
+        yield from _velocity_stands(view, joint, velocity, rows)
+    switch = view.get(("command", "torque_enable"))
+    for joint, (position, target) in enumerate(zip(view.position.T, view.command.T, strict=True)):
+        yield from _position_stands(view, joint, position)
+        if np.ptp(target) == 0 and view.driven[:, joint].all() and np.ptp(position) > GIVES:
+            moved = np.ptp(position)
+            problem = f"target stands at {target[0]:.4g} rad in every row while the joint moves by {moved:.3g} rad"
+            remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
+            yield view.found((COMMAND, joint), problem, remedy)
+        off = np.zeros(len(view.time), bool) if switch is None else switch[:, joint] == 0
+        if off.sum() * view.interval > 1 and _follows(target[off], position[off], view.stride(0.05)):
+            problem = "the joint follows its target while the log says that its torque is off"
+            yield view.found((COMMAND, joint), problem, "correct the switch")
+
+
+def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
+    """Whether a joint comes after its target by so many rows: one that is led by hand may have targets after it."""
+    if len(target) < 10 * late or min(np.ptp(target), np.ptp(angle)) < 0.2:
+        return False
+    after, before = delays(angle, target, (late, -late))
+    return after > SURE and 1 - after < 0.5 * (1 - before) and 0.5 < np.ptp(angle) / np.ptp(target) < 2
+
+
+def commands_stop(view: View) -> dict[int, tuple[int, int, float]]:
+    """Joints whose targets do not change any more, and that go on as before: first row, last row, and how far [rad]."""
+    stopped, asked, error, found = np.diff(view.command, axis=0) == 0, np.ptp(view.command, axis=0), view.error, {}
+    for joint in np.flatnonzero(asked > 0.1).tolist():
+        first, length = longest_run(stopped[:, joint])
+        last, off = first + length, np.abs(error[:, joint])
+        settled = slice(first + round(_SETTLES / view.interval), last + 1)
+        if length + 1 < round(2 * _SETTLES / view.interval) or not view.driven[first : last + 1, joint].all():
+            continue
+        moved = float(np.ptp(view.position[settled, joint]))
+        goes_on = length * view.interval > 3 * _SETTLES and moved > 0.5 * asked[joint]
+        # the next target that it gets is where it is
+        resumes = last + 1 < len(off) and off[last] > 4 * max(off[[first, last + 1]])
+        if moved > 0.1 and (goes_on or resumes):
+            found[joint] = first, last, moved
+    return found
+
+
+def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) -> Found:
+    first, length = longest_run(np.diff(velocity) == 0)
+    if length <= 2 * rows:
+        return
+    part = slice(first, first + length + 1)
+    angle, time = view.position[part, joint], view.time[part]
+    speed = (angle[rows:] - angle[:-rows]) / (time[rows:] - time[:-rows])
+    fastest = speed[np.abs(speed - velocity[first]).argmax()]
+    # a velocity may rightly keep a number while the joint is slower than its step
+    if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
+        problem = f"velocity stands at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
+        where = VELOCITY, joint
+        yield view.found(where, f"{problem}{fastest:.3g} rad/s", _UNUSED, first, first + length, aside=True)
+
+
+def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
+    first, length = longest_run(np.diff(position) == 0)
+    last, dead = first + length, length >= len(position) - 2
+    if length * view.interval <= 0.5:
+        return
+    rows = slice(first, last + 1)
+    # how far, not how much: a soft joint rightly stands while a policy dithers about it; and time to act on it
+    heeded = slice(first, max(last - round(0.2 / view.interval), first) + 1)
+    asked = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
+    rates, half = view.get(VELOCITY), view.stride(0.5)
+    rate = np.zeros(length + 1) if rates is None else rates[rows, joint]
+    rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # its bound speaks
+    turned = integral(view.time[rows], rate)
+    said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
+    moves = asked > 0.4 or (asked > 0.1 and _follows_elsewhere(view, joint, rows, asked, dead))
+    if moves or said > 0.5:
+        problem = f"position stands at {position[first] + 0.0:.4g} rad while "
+        problem += f"its command moves by {asked:.3g} rad" if moves else f"its velocity says {said:.3g} rad in 0.5 s"
+        all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
+        remedy, aside = "look whether the joint is blocked or its sensor dead", dead and not all_dead
+        yield view.found((POSITION, joint), problem, remedy, first, last, aside=aside, error=all_dead)
+
+
+def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead: bool) -> bool:
+    """Whether the command of a joint that stood moved by far more than its error spans where it is asked for as much: a
+    weak servo sticks while it moves by no more. Where a joint stands throughout, the others say how well it follows."""
+    moving = np.ones(len(view.time), bool)
+    moving[stands] = dead
+    joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
+    command, error, driven = (table[moving][:, joints] for table in (view.command, view.error, view.driven))
+    if error.size < 20 or not driven.all():
+        return False
+    return bool(np.ptp(command, axis=0).max() > 0.7 * asked and asked > 1.5 * np.ptp(error, axis=0).max())
+
+
+def _sensors_stand(view: View, rows: int) -> Found:
+    """Sensors that hold one number throughout, where they cannot, and currents and inertial sensors that keep their
+    numbers for far longer than ever else, while a joint moves."""
+    gyroscope, angles = turned_by_gyroscope(view), view.get(ORIENTATION)
+    tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
+    turns = bool((np.ptp(gyroscope, axis=0) > 0.05).any()) and not held(view)
+    for key in (CURRENT, _VOLTAGE, _TEMPERATURE, ORIENTATION, RATE, FORCE):
+        values, trunk = view.get(key), key[0] == "imu"
+        for index, part in enumerate([] if values is None else [values] if trunk else values.T[:, :, None]):
+            same, zero = (np.diff(part, axis=0) == 0).all(1), not part[0].any()
+            first, length = longest_run(same)
+            run = slice(first, first + length + 1)
+            through = gyroscope if key == ORIENTATION else view.position if trunk else view.position[:, [index]]
+            # of turning only what goes to and fro counts, as a gyroscope has a zero of its own
+            path = detrend(through[run], axis=0) if key == ORIENTATION else through[run]
+            moved = np.ptp(path, axis=0).max() > (0.05 if key == ORIENTATION else 0.2)
+            name, driven = key[1].replace("_", " "), view.driven[run, index].any() or trunk
+            if length == len(same):  # a robot that does not turn has no rates, and keeps its orientation
+                dead = {CURRENT: moved and driven, ORIENTATION: turns, RATE: tilted, FORCE: zero or tilted}
+                for column in range(part.shape[1]) if dead.get(key, zero) else ():
+                    problem = f"{name} stands at {part[0, column]:.4g} in every row"
+                    yield view.found((key, index + column), problem, _UNUSED, aside=True)
+                continue
+            size, most = abs(part[first, 0]), np.abs(part).max()
+            limited = key == CURRENT and (size == most or (size == 0 and not driven))
+            same[run] = False
+            stops = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
+            if length > 2 * rows and moved and not limited and stops and key not in (_VOLTAGE, _TEMPERATURE):
+                problem = f"{name} keeps its numbers for {length} rows, while the robot moves"
+                for column in range(part.shape[1]):
+                    yield view.found((key, index + column), problem, _UNUSED, first, first + length, aside=True)
+
+
+def held(view: View) -> bool:
+    """Whether the accelerometer is so still that the trunk is held, and turns no further than its orientation says."""
+    force = view.get(FORCE)
+    return force is not None and 0 < float(force.std(0).max()) < _SHAKEN
+
+
+def turned_by_gyroscope(view: View) -> np.ndarray:
+    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings.
+
+    The bias is the median: the mean of a robot that falls in the end is its fall.
+    """
+    rates = view.get(RATE)
+    if rates is None:
+        return np.zeros((len(view.time), 3))
+    rates = rates.copy()
+    rates[1:-1] = np.median([rates[:-2], rates[1:-1], rates[2:]], axis=0)
+    return integral(view.time, rates - np.median(rates, axis=0))
+
+
+@check("lets go", rows=50, unless="position against command, two clocks, time jumps, stale readings")
+def lets_go(view: View) -> Found:
+    """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
+    not pulled towards them, much further off than at other times. Without a current it is not reported within 0.1 rad
+    of its recent targets, nor where it moves the others as well, nor of a lone servo, which friction may hold."""
+    if view.metadata.fallen:
+        return
+    reported = {*commands_stop(view)}
+    for key, values, gain in view.drives:
+        asked = np.zeros((0, 0)) if gain is None else -gain * view.error
+        for joint in range(asked.shape[1]):
+            law = np.column_stack([asked[:, joint], view.speed[:, joint]])
+            on, given = view.driven[:, joint], values[:, joint]
+            wanted = law @ fitted(law[on], given[on])
+            for first, last in _without(given, wanted, on, view.interval):
+                reported.add(joint)
+                worst = first + int(np.abs(wanted[first : last + 1]).argmax())
+                problem = f"{key[1]} is {given[worst] + 0.0:.2g} where its law gives {wanted[worst]:.2g}, for "
+                problem += f"{view.time[last] - view.time[first]:.2g} s: the servo had let go"
+                yield view.found((POSITION, joint), problem, _LEAVE, first, last)
+    yield from _astray(view, reported)
+
+
+def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval: float) -> list[tuple[int, int]]:
+    """First and last row in which nothing is given, where much is asked for in some, and at other times it is given."""
+    size = np.abs(wanted)
+    if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
+        return []
+    none = driven & (size > asked) & (np.abs(given) < 0.1 * size)
+    first, length = longest_run(none)
+    rest = driven & ~none & (size > 0.25 * asked)
+    least = max(3, round(_LETS_GO / interval))
+    if length < least or rest.sum() <= 10 or np.median(np.abs(given[rest]) / size[rest]) <= 0.3:
+        return []
+    start, end = _around(np.abs(given) < 0.1 * asked, first)
+    return [(min(start, first), max(end, first + length) - 1)]
+
+
+def _around(rows: np.ndarray, row: int) -> tuple[int, int]:
+    """The run of truths [row] in which a row lies, and the row behind it."""
+    return next(((first, end) for first, end in runs(rows).tolist() if first <= row < end), (row, row))
+
+
+def _astray(view: View, reported: set[int]) -> Found:
+    angle, target, driven, stride = view.thinned(_PERIOD)
+    period = stride * view.interval
+    if len(angle) < 50 or period > 2 * _PERIOD or len(view.joints) == 1:
+        return  # friction holds a lone servo with a low gain as far, and no other joint says that it should go on
+    most_shaken = len(view.joints) / 2 if view.metadata.mount in HOLDING else 1
+    for recent in _RECENT:
+        past = max(1, round(recent / period))
+        (least, most), (switched, _) = _recent(target, past), _recent(driven, past)
+        # another zero is another check's
+        mean = angle - np.nanmedian(np.where(switched | ~switched.any(0), angle - target, np.nan), axis=0)
+        off = np.where(switched, mean - np.clip(mean, least, most), 0.0)
+        for joint in (j for j in range(len(view.joints)) if j not in reported):
+            found, usual = _let_go(angle[:, joint], off[:, joint], switched[:, joint], period, past)
+            for first, end, far in found[:1]:
+                given = [np.abs(values[::stride, joint]) for _, values, _ in view.drives]
+                holds = any(np.median(size[first:end]) > _PUSHES * np.median(size) for size in given)
+                shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken
+                if holds or shaken:
+                    continue  # a push, or on its feet the weight
+                reported.add(joint)
+                more = f" and {len(found) - 1} times more" if len(found) > 1 else ""
+                problem = f"the joint stays {far:.2g} rad beyond all its targets of {recent} s, for "
+                problem += f"{(end - first) * period:.2g} s{more}, and {usual:.2g} rad otherwise: "
+                problem += "its torque was off, or it was blocked"
+                last = min((end - 1) * stride, len(view.time) - 1)
+                yield view.found((POSITION, joint), problem, _LEAVE, first * stride, last)
+
+
+def _recent(values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest of a row's values and those of so many rows before [row, joint]."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, ((rows, 0), (0, 0)), "edge"), rows + 1, axis=0)
+    return windows.min(-1), windows.max(-1)
+
+
+def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: float, past: int) -> tuple[list, float]:
+    """Where a joint that is so far off [row] is not pulled back in the next rows, and much further off than otherwise:
+    first row, the row behind, and how far off, of each time; and how far it is off otherwise."""
+    ahead, rows = (max(2, round(time / period)) for time in (_WITHIN, _LETS_GO))
+    moved = angle[ahead:] - angle[:-ahead]
+    back = -np.sign(off[: len(moved)]) * moved
+    windows, nearer = (np.lib.stride_tricks.sliding_window_view(x, rows) for x in (off[: len(moved)], back))
+    least = np.minimum(_PULLS * np.abs(windows).mean(1), _SPEEDS * np.quantile(np.abs(moved), 0.98))
+    stays = np.where(nearer.mean(1) < least, np.maximum(windows.min(1), -windows.max(1)), 0.0)
+    # a target that passes by a joint that hangs, and the way back, belong to it
+    near, away, found = maximum_filter1d(np.abs(off), 2 * past + 1), np.zeros(len(off), bool), []
+    while (most := float(stays.max())) > _FAR:
+        first, end = _around(near > most / 6, int(stays.argmax()))
+        worst = first + int(np.abs(off[first:end]).argmax())
+        found.append((first, end, float(np.abs(off[worst])), float(np.ptp(angle[first : worst + 1]))))
+        away[first:end], stays[max(first - rows + 1, 0) : end] = True, 0.0
+    rest = np.abs(off[driven & ~away])
+    usual = np.inf if 2 * len(rest) < driven.sum() or not found else float(np.quantile(rest, 0.98))
+    sure = [time[:3] for time in found if time[2] > _TIMES * usual and time[3] < _CARRIED * time[2]]
+    return sorted(sure), usual
+
+
+@check("position without its command", unless="position against command, lost turns, two clocks, stands still, lets go")
+def unrelated(view: View) -> Found:
+    """A position does not follow its command at any delay: it is another joint's or recording's, or the
+    command is a torque. Not on its feet, where the weight moves soft joints against their commands."""
+    if view.metadata.mount not in HOLDING:
+        return
+    angle, target, driven, stride = view.thinned(_PERIOD)
+    explained, lost, torques, asked = np.zeros(len(view.joints), bool), dict[int, float](), set[int](), 0
+    for key, values, gain in view.drives:
+        if key == CURRENT and gain is not None:  # a soft joint that yields, and pulls by as much
+            explained = np.diagonal(match(values, -gain * view.error).correlation) > SURE
+    for joint, on in enumerate(driven.T):
+        a, t = angle[on, joint], target[on, joint]
+        if len(a) < 20 or np.ptp(t) < 0.1 or np.ptp(a) < 0.05:
+            continue
+        asked += 1
+        best = delays(a, t, range(0, min(26, len(a) // 4), 2)).max()
+        if best < _UNRELATED and not explained[joint]:
+            lost[joint] = best
+            torques |= {joint} if on.all() and _is_torque(a, t, stride * view.interval) else set()
+    for joint, best in lost.items():
+        problem = f"the position does not follow its command (correlation {best:.2f})"
+        if joint in torques and 2 * len(torques) > asked:
+            problem += ", which goes with its acceleration, speed and gravity as a torque does"
+            remedy = "name the command <joint>.load under `columns:`, and give targets of positions"
+            yield view.found((COMMAND, joint), problem, remedy, error=True)
+        else:
+            remedy = "look whether both are of this joint and of the same recording"
+            yield view.found((POSITION, joint), problem, remedy)
+
+
+def _is_torque(angle: np.ndarray, command: np.ndarray, period: float) -> bool:
+    """Whether a motion explains a command as the torque that drives it; of a single sine anything does."""
+    width = max(1, round(0.06 / period))
+    speed = np.gradient(np.convolve(angle, np.ones(width) / width, "same"), period)
+    ones, inside = np.ones(len(angle)), slice(2 * width, -2 * width)
+    causes = np.stack([ones, angle, speed, np.gradient(speed, period), np.tanh(speed / 0.05), np.sin(angle)], axis=1)
+    effects = np.stack([ones, command, np.gradient(command, period)], axis=1)
+    return unexplained(command[inside], causes[inside]) < 0.2 and unexplained(angle[inside], effects[inside]) > 0.03

@@ -1,0 +1,188 @@
+"""One episode of a log as the checks look at it, and the registry of checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple, SupportsInt
+
+import numpy as np
+
+from op3.robot.servo_make import ServoMake, find_servo
+from op3.rollout.health.finding import ERROR, WARNING, LogFinding
+from op3.rollout.health.match import Match, integral, match, step, windows
+from op3.rollout.schema import CHANNELS, Key, column_names
+
+if TYPE_CHECKING:
+    from op3.rollout.rollout import Rollout
+
+POSITION, COMMAND = ("joint", "position"), ("command", "position")
+VELOCITY, CURRENT, DUTY = ("joint", "velocity"), ("joint", "current"), ("joint", "duty")
+VOLTAGE, TEMPERATURE = ("joint", "voltage"), ("joint", "temperature")
+P_GAIN, D_GAIN, FIRMWARE_GAIN = ("command", "p_gain"), ("command", "d_gain"), ("command", "firmware_gain")
+ORIENTATION, RATE, FORCE = ("imu", "orientation"), ("imu", "angular_velocity"), ("imu", "linear_acceleration")
+
+Where = str | tuple[Key, SupportsInt]
+
+
+class View:
+    """One episode of a log as the checks look at it."""
+
+    def __init__(self, log: Rollout):
+        self.log, self.metadata, self.joints = log, log.metadata, log.joints
+        self.time, self.position, self.command = log.array("time")[:, 0], log.array(POSITION), log.array(COMMAND)
+        self.error = self.position - self.command
+        """How far joints are off their targets [time, joint]."""
+        switch, gain = self.get(("command", "torque_enable")), self.get(P_GAIN)
+        self.driven = np.ones(self.command.shape, bool) if switch is None else switch == 1
+        self.driven &= True if gain is None else gain != 0
+        """Whether the servo drives, towards its target [time, joint]."""
+        self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+        """Usual time from row to row [s]."""
+        self._steps: dict[Key, np.ndarray] = {}
+
+    @cached_property
+    def make(self) -> ServoMake | None:
+        """The make of servo that the metadata name; None where none is known."""
+        return find_servo(self.metadata.servo)
+
+    @property
+    def position_unit(self) -> float:
+        """Step of the servo's encoder, that of 4096 a turn where the make is unknown [rad]."""
+        return 2 * np.pi / 4096 if self.make is None else self.make.position_unit
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Change of position per second [time, joint], of a log of more than one row."""
+        return np.gradient(self.position, self.time, axis=0)
+
+    @cached_property
+    def duty_gain(self) -> np.ndarray | None:
+        """Duty per angle [1/rad] of servos that close the loop themselves [time, joint]; None where it is unknown."""
+        gain = self.get(FIRMWARE_GAIN)
+        law = None if self.make is None or self.make.loop != "firmware" else self.make.position_law
+        return None if law is None or gain is None else gain * law.error_gain.si
+
+    @property
+    def drives(self) -> list[tuple[Key, np.ndarray, np.ndarray | None]]:
+        """Key, numbers [time, joint] and gain [time, joint] of the currents and duties that are there; None for an
+        unknown gain."""
+        gains = {CURRENT: self.get(P_GAIN), DUTY: self.duty_gain}
+        return [(key, self.log.array(key), gain) for key, gain in gains.items() if key in self.log]
+
+    @cached_property
+    def windows(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """See `match.windows`."""
+        return windows(self.time)
+
+    def turned(self, angles: np.ndarray) -> np.ndarray:
+        """Change of angles [time, name] within each window [window, name]."""
+        first, last, _ = self.windows
+        return angles[last] - angles[first]
+
+    def summed(self, rates: np.ndarray) -> np.ndarray:
+        """Integral of rates [time, name] over each window [window, name]."""
+        return self.turned(integral(self.time, rates))
+
+    @cached_property
+    def rates(self) -> Match | None:
+        """Velocities, summed over windows, against how far joints turn there; None without them, or for few windows."""
+        rate = self.get(VELOCITY)
+        if rate is None or len(self.time) < 20 or len(self.windows[0]) < 8:
+            return None
+        return match(self.summed(rate), self.turned(self.position))
+
+    def stride(self, period: float) -> int:
+        """How many rows so long a time is [s], at least one."""
+        return max(1, round(period / self.interval)) if len(self.time) >= 20 else 1
+
+    def thinned(self, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Positions, targets and whether joints are driven [row, joint] in rows that are so far apart [s], and how many
+        rows that is."""
+        stride = self.stride(period)
+        return self.position[::stride], self.command[::stride], self.driven[::stride], stride
+
+    def get(self, key: Key) -> np.ndarray | None:
+        """A channel [time, name], None where it is absent."""
+        return self.log.array(key) if key in self.log else None
+
+    def steps(self, key: Key) -> np.ndarray:
+        """Step of the grid on which a channel's columns lie ``[name]``, see `step`; worked out once."""
+        if key not in self._steps:
+            self._steps[key] = step(self.log.array(key))
+        return self._steps[key]
+
+    def columns(self, *keys: Key) -> Iterator[tuple[Key, int, np.ndarray]]:
+        """Key, index and numbers [time] of the columns of those channels that are there, in a log of some length."""
+        for key in keys if len(self.time) >= 20 else ():
+            values = self.get(key)
+            yield from ((key, index, column) for index, column in enumerate(() if values is None else values.T))
+
+    def name(self, key: Key, index: SupportsInt) -> str:
+        """Name of one column of a channel."""
+        return column_names(CHANNELS[key], self.joints, int(index) + 1)[int(index)]
+
+    def found(
+        self, where: Where, problem: str, remedy: str, *rows: SupportsInt, aside: bool = False, error: bool = False
+    ) -> LogFinding:
+        """A finding in a column of the wide CSV, or a channel and index, and in a row or from one to another, counted
+        from 0; `aside`: the column is not to be used; `error`: the log is refused."""
+        column = where if isinstance(where, str) else self.name(*where)
+        first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
+        times = (float(self.time[first]), float(self.time[last])) if rows else None
+        counted = (first + 1, last + 1) if rows else None
+        return LogFinding(ERROR if error else WARNING, problem, remedy, column, counted, times, aside)
+
+
+Found = Iterator[LogFinding]
+Find = Callable[[View], Found]
+
+
+class Check(NamedTuple):
+    """A check: what it finds, with its line in the documentation as docstring; channels and rows without which it has
+    nothing to say; and earlier checks that explain what it would find: it says nothing where one of them did."""
+
+    find: Find
+    needs: tuple[Key, ...]
+    rows: int
+    unless: tuple[str, ...]
+
+
+CHECKS: dict[str, Check] = {}
+"""Every check by its name, in the order in which they are made."""
+
+
+def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[Find], Find]:
+    """Enter a check into the registry; see `Check`, and the names in `unless` are separated by commas."""
+
+    def enter(find: Find) -> Find:
+        CHECKS[name] = Check(find, needs, rows, tuple(unless.split(", ")))
+        return find
+
+    return enter
+
+
+def examine(log: Rollout) -> tuple[LogFinding, ...]:
+    """Everything that the checks find in a log, errors first."""
+    with np.errstate(all="ignore"):  # what overflows is refused by its bound
+        found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
+    return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
+
+
+def _findings(view: View) -> Found:
+    aside, explained = {finding.column for finding in view.log.findings if finding.set_aside}, set[str]()
+    for name, one in CHECKS.items():
+        wrong_clock = False
+        if explained.intersection(one.unless) or len(view.time) < one.rows or any(k not in view.log for k in one.needs):
+            continue
+        for finding in one.find(view):
+            if finding.column in aside:
+                continue  # why it is not used has been said
+            if finding.set_aside:
+                aside.add(finding.column)
+            wrong_clock |= finding.severity == ERROR and finding.column == "time"
+            explained.add(name)
+            yield replace(finding, check=name)
+        if wrong_clock:
+            return  # rates and delays by a wrong clock say nothing
