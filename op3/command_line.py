@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from op3.apps import COMMANDS
-from op3.apps.command_help import PRESETS, asked_for, completion, names_in, overview, usage
+from op3.apps.command_help import PRESETS, asked_for, completion, overview, usage
 from op3.common.assets import config_file
 from op3.common.private import CLAIMED, hide, masked, scrub_folder
 from op3.common.settings import nearest
@@ -90,7 +90,7 @@ def _launch(app: str) -> None:
     from op3.apps.sentences import explained
     from op3.identify.registration import register
 
-    words = ["confirm=false" if word == "--yes" else source_word(app, word) for word in sys.argv[1:]]
+    words = ["confirm=false" if word == "--yes" else word for word in sys.argv[1:]]
     words += choices_of_resumed(words)
     sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))  # Hydra wants them first
     parser = get_args_parser()
@@ -132,14 +132,6 @@ def _launch(app: str) -> None:
             compare(place)
         if place is not None and (folder or missing):
             leave(place, above=2 if folder else missing - 1)
-
-
-def source_word(app: str, argument: str) -> str:
-    """An argument in which `robot=` names a source, as it once did: ``robot=stand_in`` is ``source=stand_in``."""
-    name, _, value = argument.partition("=")
-    if name != "robot" or "\n  - source:" not in _text(app):
-        return argument
-    return f"source={value}" if set(value.split(",")) <= set(names_in("source")) else argument
 
 
 def choices_of_resumed(words: Sequence[str]) -> list[str]:

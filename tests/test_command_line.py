@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from op3.apps import COMMANDS
-from op3.apps.command_help import completion, overview, usage
+from op3.apps.command_help import completion, names_in, overview, usage
 from op3.command_line import choices_of_resumed, main, quoted
 from tests.scripts import run_apart
 
@@ -36,7 +36,12 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["train", "train.stpes=3"], "train has no part 'stpes'; the nearest is 'steps'"),
         (["train", "evaluation={vidoe: true}"], "evaluation has no part 'vidoe'; the nearest is 'video'"),
         (["train", "steps=3"], "there is no setting 'steps'; the nearest is 'train.steps'"),
-        (["demo", "diagnose", "efect=dte"], "there is no setting 'efect'; the nearest is 'effect'"),
+        (["demo", "diagnose", "effect=dte"], "there is no setting 'effect'; the nearest is 'hidden_effect'"),
+        (
+            ["demo", "diagnose", "hidden_effect=backlsh"],
+            "hidden_effect=backlsh: there is no such effect; the nearest is 'backlash'",
+        ),
+        (["demo", "diagnose", "hidden_robot=legg"], "hidden_robot must be one of 'leg', 'pendulum', 'op3' or 'arm'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no 'sqat' in the group motion; the nearest is 'squat'"),
         (["collect", "motion.perid=3"], "motion has no part 'perid'; there are knee_low, knee_high,"),
         (
@@ -107,7 +112,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["predict", "wandb=maybe", "data=x"], "wandb=maybe: there is no 'maybe' in the group wandb; there are"),
         (["predict", "wandb.mode=maybe", "data=x"], "wandb: mode must be one of 'offline', 'online' or"),
         (["design", "budget=-1"], "budget=-1: there is no '-1' in the group budget; there are demo"),
-        (["view", "nothing-here"], "what=nothing-here: there is no such file or folder; give a log, a policy bundle"),
+        (["view", "nothing-here"], "what=nothing-here: no such folder; give a log, a policy bundle, a model.yaml"),
     ],
 )
 def test_wrong_input_is_answered_in_one_sentence_and_leaves_nothing(op3, arguments, sentence, tmp_path):
@@ -137,6 +142,10 @@ def test_wrong_input_is_answered_in_one_sentence_and_leaves_nothing(op3, argumen
         ["diagnose", "data=x"],
         ["collect", "repeats=0"],
         ["predict", "data=x", "wandb=maybe"],
+        ["demo", "diagnose", "hidden_robot=legg"],
+        ["demo", "diagnose", "hidden_effect=backlsh"],
+        ["evaluate", "policy=assets/policies/balanc"],
+        ["view", "nothing-here"],
     ],
     ids=" ".join,
 )
@@ -284,3 +293,12 @@ def test_a_resumed_run_has_the_groups_that_it_chose(tmp_path):
     assert sorted(choices_of_resumed(words)) == ["algorithm=sac", "recipe=null", "task=walk_command"]
     assert choices_of_resumed(["train.steps=10"]) == []
     assert choices_of_resumed(["resume=/nowhere"]) == []
+
+
+def test_no_setting_has_the_name_of_a_group():
+    """Hydra would read it as a choice of the group, and refuse it."""
+    contents = {app: yaml.safe_load((ROOT / "conf" / f"{app}.yaml").read_text()) for app in COMMANDS.values()}
+    groups = {name for name in set().union(*contents.values()) - {"defaults", "hydra"} if names_in(name)}
+    for app, content in contents.items():
+        chosen = {name for entry in content["defaults"] if isinstance(entry, dict) for name in entry}
+        assert not groups & set(content) - chosen, app

@@ -1,6 +1,6 @@
 """Check a robot file: its joints, the parts of its model that are used, and a picture of its home pose.
 
-python experiments/check.py robot=<robot.yaml> [out=<picture>.png]
+op3 check robot=<robot.yaml> [out=<picture>.png]
 
 As a command: op3 check <robot.yaml>. Exit code 1 if the file has an error.
 """

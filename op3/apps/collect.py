@@ -1,16 +1,15 @@
 """Record a motion, a plan of motions or a policy on a robot, once or several times.
 
-python experiments/collect.py source=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
-python experiments/collect.py world=random world_seed=7 motion=squat_heldout
-python experiments/collect.py motion=chirp_knee mount=stand
-python experiments/collect.py plan=outputs/design_excitation/<run>/plan.yaml
-python experiments/collect.py source=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
-python experiments/collect.py source=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
-python experiments/collect.py source=emulated policy=assets/policies/balance task=balance_eval repeats=10
-python experiments/collect.py -m world=eta_060,eta_070,eta_080
-python experiments/collect.py robot=path/to/my_robot.yaml source=model motion=multisine mount=stand
+op3 collect source=stand_in motion=squat [world=eta_060] [mount=stand] [repeats=3] [seed=1]
+op3 collect world=random world_seed=7 motion=squat_heldout
+op3 collect motion=chirp_knee mount=stand
+op3 collect plan=outputs/design_excitation/<run>/plan.yaml
+op3 collect source=emulated|real motion=squat [port=/dev/ttyUSB0] [mount=stand]
+op3 collect source=emulated|real policy=assets/policies/balance [duration=10] [repeats=5]
+op3 collect source=emulated policy=assets/policies/balance task=balance_eval repeats=10
+op3 collect -m world=eta_060,eta_070,eta_080
+op3 collect robot=path/to/my_robot.yaml source=model motion=multisine mount=stand
 
-`robot=stand_in`, `robot=emulated` and `robot=real` of older versions still mean `source=`.
 
 The same command with the same hydra.run.dir continues an interrupted recording.
 """
@@ -246,7 +245,7 @@ def save(rollout: Rollout, name: str) -> Path:
     folder = rollout.save(place(name))
     extra = rollout.metadata.extra
     ended = extra.get("ended_by")
-    outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "the robot stands"
+    outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "complete"
     if "afterwards" in extra:
         outcome += f" at its end; on the way to the end pose: {extra['afterwards']}"
     print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")

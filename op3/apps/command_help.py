@@ -31,13 +31,13 @@ def overview() -> str:
     rows = [f"  {name:15s}{documentation(app).splitlines()[0]}" for name, app in COMMANDS.items() if name != "demo"]
     return "\n".join(
         [
-            "op3: servo-driven robots from simulation to reality.",
+            "op3 diagnoses why a servo-driven robot differs from its simulation, and trains policies for it.",
             "",
             "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
             "",
-            f"  {'demo':15s}Runs the whole method on an emulated robot at a small budget; writes one HTML page.",
+            f"  {'demo':15s}Run the whole method on an emulated robot at a small budget; write one HTML page.",
             *rows,
-            f"  {'doctor':15s}Checks this machine and says how to fix what is missing.",
+            f"  {'doctor':15s}Check this machine, and state how to fix what is missing.",
             f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',
             f"  {'--version':15s}The version of op3.",
         ]
@@ -102,13 +102,7 @@ def usage(config: str) -> str:
         if value:
             groups.setdefault(name, []).append(value.strip("[]"))
     listed = [f"{name}=  {', '.join(values)}" for name, values in groups.items()]
-    called = {experiment: name for name, experiment in COMMANDS.items() if name not in PRESETS}
-    text_of_command = re.sub(
-        r"python experiments/(\w+)\.py",
-        lambda found: f"op3 {called[found[1]]}" if found[1] in called else found[0],
-        documentation(config),
-    )
-    parts = [text_of_command, "Settings, with defaults (setting=value; group.field=value):", body]
+    parts = [documentation(config), "Settings, with defaults (setting=value; group.field=value):", body]
     if listed:
         parts += ["Groups (group=name):", "\n".join(listed)]
     if asked := asked_for(config):

@@ -1,6 +1,6 @@
 """Compare the runs of a multirun of `op3 identify` on one page: losses, errors, parameters, time.
 
-python experiments/compare_runs.py runs=outputs/identify/<multirun>
+op3 compare runs=outputs/identify/<multirun>
 """
 
 from pathlib import Path

@@ -1,8 +1,8 @@
 """Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls, heat.
 
-python experiments/compliance.py policy=<bundle>
-python experiments/compliance.py policy=[<bundle>,<trained with a fixed gain>]
-python experiments/compliance.py policy=<bundle> 'sizes={episodes: 8, push_episodes: 1}' grounds=[walk]
+op3 compliance policy=<bundle>
+op3 compliance policy=[<bundle>,<trained with a fixed gain>]
+op3 compliance policy=<bundle> 'sizes={episodes: 8, push_episodes: 1}' grounds=[walk]
 """
 
 from collections.abc import Sequence

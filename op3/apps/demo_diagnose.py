@@ -1,6 +1,6 @@
 """Hide an effect in a simulated robot, record it, and diagnose it, in two minutes.
 
-python experiments/demo_diagnose.py [effect=backlash] [severity=clear] [seed=3] [hidden_robot=leg|pendulum|op3|arm]
+op3 demo diagnose [hidden_effect=backlash] [severity=clear] [seed=3] [hidden_robot=arm]
 
 The robot's physics are independent of op3's. A hash of the answer is written before the diagnosis begins; the answer is
 read after it has ended.
@@ -19,6 +19,7 @@ from op3.apps.command_result import CommandResult
 from op3.apps.current_run import output_folder
 from op3.apps.diagnose import diagnose
 from op3.apps.progress import ProgressLine
+from op3.report.tables import in_thousandths, number, span
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
 from op3.stand_in.suites import SETTINGS
@@ -27,9 +28,9 @@ from op3.stand_in.suites import SETTINGS
 def record(case: Case, folder: Path) -> Path:
     """Record the suite of the case's robot; returns the folder of the logs."""
     runs, say = SETTINGS[case.robot].rich(case.seed), ProgressLine()
-    for number, log in enumerate(record_case(case, runs), start=1):
-        log.save(folder / f"{number:02d}_{log.metadata.motion}", overwrite=True)
-        say("recording", number / len(runs))
+    for run, log in enumerate(record_case(case, runs), start=1):
+        log.save(folder / f"{run:02d}_{log.metadata.motion}", overwrite=True)
+        say("recording", run / len(runs))
     return folder
 
 
@@ -50,25 +51,26 @@ def hidden(answer: Mapping[str, Any]) -> str:
 
 def named(finding: Mapping[str, Any]) -> str:
     """A finding in a line."""
-    size, (low, high) = finding["size"], finding["interval"]
     return (
-        f"{finding['effect']} in {where(finding['joints'], finding['shared'])},"
-        f" probability {finding['probability']:.2f} ({finding['parameter']} {size:.3g}, 90 %: {low:.3g} to {high:.3g})"
+        f"{finding['effect']} in {where(finding['joints'], finding['shared'])}, probability"
+        f" {finding['probability']:.2f} ({finding['parameter']} {span((finding['size'], *finding['interval']))})"
     )
 
 
 def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) -> str:
     """The last lines: the name, the truth, the gap, what was made, and what to do next."""
-    gaps = [
-        f"{channel.split('/')[1]} {gap['before']:.3g} to {gap['after']:.3g} {gap['unit']}"
-        for channel, gap in content["gap"].items()
+    gaps = []
+    for channel, gap in content["gap"].items():
+        (before, unit), (after, _) = (in_thousandths(gap[end], gap["unit"]) for end in ("before", "after"))
+        gaps.append(f"{channel.split('/')[1]} {number(before, 3)} to {number(after, 3)} {unit}")
+    findings = [named(finding) for finding in content["findings"]] or [
+        "nothing; the diagnosis missed the hidden effect"
     ]
-    findings = [named(finding) for finding in content["findings"]] or [f"nothing. {content['sentence']}"]
     added = [finding["effect"] for finding in content["findings"]]
     lines = {
         "named": "\n          ".join(findings),
         "hidden": hidden(answer),
-        "gap": "; ".join(gaps) + ", on held-out runs",
+        "gap": f"from baseline fit to returned model, held-out runs in free run: {'; '.join(gaps)}",
         "model": f"{folder / 'model.yaml'}" + (f", with {', '.join(added)} added" if added else ""),
         "page": str(folder / "index.html"),
         "next": f"op3 view {folder}",
@@ -81,7 +83,7 @@ def main(cfg: DictConfig) -> CommandResult:
     torch.set_num_threads(1)
     threadpool_limits(1)
     folder = output_folder()
-    case = draw_case(cfg.seed, "single", cfg.severity, cfg.effect, robot=cfg.hidden_robot)
+    case = draw_case(cfg.seed, "single", cfg.severity, cfg.hidden_effect, robot=cfg.hidden_robot)
     sealed = commit([case], folder / "answers")
     digest = hashlib.sha256(sealed.read_bytes()).hexdigest()
     print(f"A robot with a hidden effect; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)

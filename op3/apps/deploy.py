@@ -1,9 +1,9 @@
 """Run a policy on a robot, with start checks and limits; the exit code states how it ended.
 
-python experiments/deploy.py policy=assets/policies/balance port=/dev/ttyUSB0 [duration=20] [--yes]
-python experiments/deploy.py policy=assets/policies/balance port=emulated [world=eta_070] [model=<model.yaml>]
-python experiments/deploy.py port=/dev/ttyUSB0 mode=read_only
-python experiments/deploy.py policy=<bundle> log=outputs/deploy/<time>/run mode=replay
+op3 deploy policy=assets/policies/balance port=/dev/ttyUSB0 [duration=20] [--yes]
+op3 deploy policy=assets/policies/balance port=emulated [world=eta_070] [model=<model.yaml>]
+op3 deploy port=/dev/ttyUSB0 mode=read_only
+op3 deploy policy=<bundle> log=outputs/deploy/<time>/run mode=replay
 """
 
 import sys

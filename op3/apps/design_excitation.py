@@ -1,7 +1,7 @@
 """Plan the motions that narrow the intervals of parameters most per second of robot time.
 
-python experiments/design_excitation.py groups=[gear,friction] seconds=60 [mounts=[floor]] [model=<model.yaml>]
-python experiments/collect.py plan=<its folder>/plan.yaml source=stand_in
+op3 design groups=[gear,friction] seconds=60 [mounts=[floor]] [model=<model.yaml>]
+op3 collect plan=<its folder>/plan.yaml source=stand_in
 """
 
 import time

@@ -1,11 +1,11 @@
 """Name the effects that a model does not include, from logs of a stand or of a servo bench.
 
-python experiments/diagnose.py data=<folder of logs> model=<model.yaml or name in assets/models>
-python experiments/diagnose.py data=<folder of logs> model=paper mode=loop      # repeats it from the returned model
-python experiments/diagnose.py data=<folder of logs> model=paper mode=aliasing  # which effects these logs can show
-python experiments/diagnose.py data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
-python experiments/diagnose.py planned=leg_suite mode=aliasing   # which effects a suite would show
-python experiments/diagnose.py "planned=[squat_fast,multisine_legs]" mode=aliasing
+op3 diagnose data=<folder of logs> model=<model.yaml or name in assets/models>
+op3 diagnose data=<folder of logs> model=paper mode=loop      # repeats it from the returned model
+op3 diagnose data=<folder of logs> model=paper mode=aliasing  # which effects these logs can show
+op3 diagnose data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
+op3 diagnose planned=leg_suite mode=aliasing   # which effects a suite would show
+op3 diagnose "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
 import time

@@ -1,8 +1,8 @@
 """Serve an emulated robot on a serial port until Ctrl-C; the first line printed is the port.
 
-python experiments/emulate_robot.py [world=eta_060] [scene=floor] [faults.lost=0.0026] [record=frames.txt]
-python experiments/emulate_robot.py model=paper scene=floor
-python experiments/emulate_robot.py robot=path/to/my_robot.yaml model=own
+op3 emulate [world=eta_060] [scene=floor] [faults.lost=0.0026] [record=frames.txt]
+op3 emulate model=paper scene=floor
+op3 emulate robot=path/to/my_robot.yaml model=own
 """
 
 import math

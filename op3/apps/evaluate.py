@@ -1,9 +1,9 @@
 """Evaluate a policy or a baseline by R_eval on a simulated robot.
 
-python experiments/evaluate.py policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
-python experiments/evaluate.py policy=<bundle> task=balance_eval episodes=20 baseline=hold
-python experiments/evaluate.py -m policy=<bundle>,hold,random task=balance_eval,balance_weight
-python experiments/evaluate.py -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
+op3 evaluate policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
+op3 evaluate policy=<bundle> task=balance_eval episodes=20 baseline=hold
+op3 evaluate -m policy=<bundle>,hold,random task=balance_eval,balance_weight
+op3 evaluate -m policy=<bundle>,stiff task=walk,walk_bricks_a,walk_bricks_b,walk_bricks_c
 """
 
 import dataclasses
@@ -93,13 +93,7 @@ def evaluate(
 
 
 class WithProgress(Watched):
-    """A policy that shows how far its episodes are.
-
-    Args:
-        policy: as of `Watched`.
-        env: its robots.
-        steps: of an episode, at most.
-    """
+    """A policy that shows how far its episodes are, which have at most this number of steps."""
 
     def __init__(self, policy: Any, env: BatchedEnv, steps: int):
         super().__init__(policy, env)
@@ -212,7 +206,7 @@ def main(cfg: DictConfig) -> Evaluated:
         find_actor(cfg.baseline, task, field="baseline")
     bundle = card_folder(cfg)
     logs, watched, env, validity = play(cfg, task, cfg.policy)
-    print(validity)
+    print(f"motion: {validity}")
     obeyed = None
     if "velocity" in task.commands:
         actor = find_actor(cfg.policy, task)

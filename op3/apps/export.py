@@ -1,6 +1,6 @@
 """Write a model for another simulator, and measure the error with the effects that it can represent.
 
-python experiments/export.py model=<model.yaml> to=mjcf|bam [data=<logs>] [robot=<robot>] [out=<file>]
+op3 export model=<model.yaml> to=mjcf|bam [data=<logs>] [robot=<robot>] [out=<file>]
 
 mjlab and MuJoCo Playground read the MJCF unchanged. Every command reads BAM's JSON as `model=<file>.json`.
 """

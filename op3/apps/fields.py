@@ -11,7 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from op3.common.assets import config_file, find_model, robot_file
+from op3.common.assets import config_file, find_model, here_or_shipped, model_names, robot_file
 from op3.common.settings import (
     GAIN_HIGH,
     Count,
@@ -23,6 +23,7 @@ from op3.common.settings import (
     Some,
     Text,
     Whole,
+    nearest,
     read_yaml,
     settings,
     shown,
@@ -60,6 +61,8 @@ class Common:
     wanted: Listed[str] | None = None
     motions: Some[str] | None = None
     mounts: Some[Literal["floor", "stand"]] | None = None
+    hidden_robot: Literal["leg", "pendulum", "op3", "arm"] = "leg"
+    severity: Literal["mild", "clear", "strong"] = "strong"
     grounds: Some[str] | None = None
     fixed_gains: Listed[Gain] = ()
     where: Named[Any] | None = None
@@ -100,6 +103,9 @@ KINDS = {
 LOGS = ("data", "heldout", "episodes", "actual", "log", "diagnosis")
 """Fields whose text values are paths of logs."""
 
+BASELINES = ("hold", "zero", "random", "stiff")
+"""Policies that are no bundles."""
+
 REQUIRED = {
     "data": "a log, a folder of logs, or a list of them",
     "policy": "the folder of a policy bundle",
@@ -138,7 +144,16 @@ def check(cfg: DictConfig) -> None:
     for name in LOGS:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
-            raise ValueError(f"{name}={value}: there is no such file or folder")
+            raise ValueError(f"{name}={value}: there is no such file or folder; correct the path")
+    for name, known in {"policy": BASELINES, "baseline": BASELINES, "what": model_names()}.items():
+        given = None if OmegaConf.is_missing(cfg, name) or cfg.get("live") else plain(cfg.get(name))
+        for value in given if isinstance(given, list) else [given]:
+            if isinstance(value, str) and value not in known and not here_or_shipped(value).exists():
+                meaning = REQUIRED["what"] if name == "what" else f"a bundle's, or {', '.join(BASELINES)}"
+                raise FileNotFoundError(f"{name}={value}: no such folder; give {meaning}")
+    effect, hideable = cfg.get("hidden_effect"), read_yaml(Path(__file__).parents[1] / "stand_in" / "kinds.yaml")
+    if effect and effect not in hideable:
+        raise ValueError(f"hidden_effect={effect}: there is no such effect{nearest(effect, hideable)}")
     if cfg.get("robot"):
         robot_file(cfg.robot)
     model = None if OmegaConf.is_missing(cfg, "model") else cfg.get("model")

@@ -66,7 +66,6 @@ def report(
     page = naming_page(rows, summaries, f"Hidden effects, {cfg.set} set, {len(rows)} cases", commitment)
     provenance = {**run_provenance(seed=cfg.first_seed), "command": command_of_run()}
     page.provenance(provenance)
-    page.files({"scores.yaml": "every case", "result.yaml": "all numbers", "answers.sha256": "the sealed answers"})
     index = page.write(folder / "index.html")
     (folder / "scores.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(rows)), encoding="utf-8")
     result = {

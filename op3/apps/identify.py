@@ -1,8 +1,8 @@
 """Identify a robot's or a servo's parameters from logs.
 
-python experiments/identify.py data=<log> [heldout=<log>] [groups=[motor,gear,friction,body]] [method=tpe]
-python experiments/identify.py -m data=<log> seed=0,1,2 hydra.sweeper.n_trials=2000
-python experiments/identify.py experiment=servo_bench data=<folder of bench logs>
+op3 identify data=<log> [heldout=<log>] [groups=[motor,gear,friction,body]] [method=tpe]
+op3 identify -m data=<log> seed=0,1,2 hydra.sweeper.n_trials=2000
+op3 identify experiment=servo_bench data=<folder of bench logs>
 """
 
 import dataclasses

@@ -1,6 +1,6 @@
 """Check a log of any format: its content, guesses with reasons, and findings.
 
-python experiments/import_log.py data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
+op3 import data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
 
 If there is no YAML beside the log, the interpretation is written there for you to correct; `read_log` and every
 `data=` read it. Exit code 1 if a log has an error.
@@ -67,6 +67,6 @@ def main(cfg: DictConfig) -> CommandResult:
     paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
     usable = [look(path, cfg) for path in paths]
     if not all(usable):
-        print("at least one log failed validation; see the suggested fix next to each finding", file=sys.stderr)
+        print("at least one log cannot be used; correct it as stated above", file=sys.stderr)
         raise SystemExit(1)
     return CommandResult(output_folder(), f"{len(paths)} log{'s' * (len(paths) != 1)} can be used.", files=())

@@ -1,7 +1,7 @@
 """Measure the error of a model on logs that it was not fitted to, with 90 % intervals.
 
-python experiments/predict.py model=<model.yaml or name> data=<logs> [where='{firmware_gain: 8}']
-python experiments/predict.py -m model=outputs/identify/<run>,paper data=<logs>
+op3 predict model=<model.yaml or name> data=<logs> [where='{firmware_gain: 8}']
+op3 predict -m model=outputs/identify/<run>,paper data=<logs>
 """
 
 import time

@@ -17,7 +17,7 @@ class ProgressLine:
     def __call__(self, stage: str, share: float) -> None:
         """Show it; `share` is the part of the whole run that is done."""
         now = time.monotonic()
-        left = f", {(now - self._began) * (1 / share - 1):.0f} s left" if share else ""
+        left = f", {(now - self._began) * (1 / share - 1):.0f} s left" if share > 0.02 else ""
         if sys.stderr.isatty():
             bar = f"{'#' * round(30 * share):<30}"
             end = "\n" if share >= 1 else ""

@@ -1,8 +1,8 @@
 """Re-identify a robot from a failed transfer by matching the returns of its episodes.
 
-python experiments/reidentify.py policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
-python experiments/reidentify.py ... diagnose=true diagnosis=<folder of logs from the stand>
-python experiments/reidentify.py -m policy=... model=... data=... episodes=... seed=0,1,2
+op3 reidentify policy=<bundle> model=<model.yaml> data=<squat log> episodes=<folder of logs>
+op3 reidentify ... diagnose=true diagnosis=<folder of logs from the stand>
+op3 reidentify -m policy=... model=... data=... episodes=... seed=0,1,2
 """
 
 import time

@@ -1,8 +1,8 @@
 """Run the whole method on a robot: collect, identify, train, deploy, and re-identify after a failed transfer.
 
-python experiments/sim2real.py source=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
-python experiments/sim2real.py task=walk world=robot_4 policy=assets/policies/walk    # start with an existing policy
-python experiments/sim2real.py -m world=robot_1,robot_4 condition=excitation_only,reidentified,domain_randomisation
+op3 sim2real source=emulated task=balance world=random seed=0 [budget=demo|laptop|paper]
+op3 sim2real task=walk world=robot_4 policy=assets/policies/walk    # start with an existing policy
+op3 sim2real -m world=robot_1,robot_4 condition=excitation_only,reidentified,domain_randomisation
 
 Every stage is a command with a separate folder. The same command with the same hydra.run.dir continues after an
 interruption.

@@ -1,10 +1,10 @@
 """Train a policy on a simulated robot.
 
-python experiments/train.py task=balance|walk [model=<model.yaml>] [seed=0] [budget=demo|laptop|paper]
-python experiments/train.py -m task=balance model=<a.yaml>,<b.yaml> seed=0,1,2
-python experiments/train.py task=walk algorithm=sac|td3|ppo
-python experiments/train.py resume=<folder of a run> [train.steps=<more>]
-python experiments/train.py task=balance model=<model.yaml> warm_start=<bundle>
+op3 train task=balance|walk [model=<model.yaml>] [seed=0] [budget=demo|laptop|paper]
+op3 train -m task=balance model=<a.yaml>,<b.yaml> seed=0,1,2
+op3 train task=walk algorithm=sac|td3|ppo
+op3 train resume=<folder of a run> [train.steps=<more>]
+op3 train task=balance model=<model.yaml> warm_start=<bundle>
 """
 
 import os
@@ -140,7 +140,7 @@ def robots(cfg: DictConfig, task: Task) -> EnvBase:
     """Those that learn."""
     options = {**plain(cfg.environment), "action_map": actions(cfg, task), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
-        raise ValueError(f"env=composer is one robot: use environments=1, got {cfg.environments}")
+        raise ValueError(f"env=composer simulates one robot: set environments=1, got {cfg.environments}")
     if cfg.env == "batched":
         options["num_threads"] = cfg.threads
     if task.cycle is not None:  # a policy that walks begins anywhere in the gait

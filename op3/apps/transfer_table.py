@@ -1,8 +1,8 @@
 """Count successful transfers by the model that policies were trained on: the paper's Tables III and IV.
 
-python experiments/transfer_table.py                                    # balancing: all robots, conditions and seeds
-python experiments/transfer_table.py task=walk condition=excitation_only,reidentified,domain_randomisation
-python experiments/transfer_table.py world=robot_7 seed=0               # one transfer; the page shows all finished ones
+op3 transfers                                    # balancing: all robots, conditions and seeds
+op3 transfers task=walk condition=excitation_only,reidentified,domain_randomisation
+op3 transfers world=robot_7 seed=0               # one transfer; the page shows all finished ones
 
 A multirun of sim2real.py whose cells share stages with the same arguments. The same command continues after an
 interruption, and several may work on the same folder.

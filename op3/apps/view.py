@@ -1,14 +1,14 @@
 """Show a log, a policy, a model or a diagnosis: in a viewer, or as a video.
 
-python experiments/view.py what=<log> [model=<model.yaml>]             # measured, with a prediction as an overlay
-python experiments/view.py what=<policy bundle, or run of train.py>    # an episode in simulation
-python experiments/view.py what=<model.yaml, or run of identify.py>    # a squat: commands, the model as an overlay
-python experiments/view.py what=<robot.yaml>                           # a robot file: a multisine on the stand
-python experiments/view.py what=<run of diagnose.py>                   # measured, before and after the diagnosis
-python experiments/view.py what=<log> out=video.mp4                     # or out=log.rrd, out=rerun
-python experiments/view.py what=<run of deploy.py> live=true           # while it runs, with the model as an overlay
+op3 view <log> [model=<model.yaml>]               # measured, with a prediction as an overlay
+op3 view <policy bundle, or run of op3 train>     # an episode in simulation
+op3 view <model.yaml, or run of op3 identify>     # a squat: commands, the model as an overlay
+op3 view <robot.yaml>                             # a robot file: a multisine on the stand
+op3 view <run of op3 diagnose>                    # measured, before and after the diagnosis
+op3 view <log> out=video.mp4                      # or out=log.rrd, out=rerun
+op3 view <run of op3 deploy> live=true            # while it runs, with the model as an overlay
 
-Without a screen it writes an mp4. As a command: op3 view <log>.
+Without a screen it writes an mp4.
 """
 
 import os
@@ -20,7 +20,7 @@ import torch
 from omegaconf import DictConfig
 
 from op3.apps.current_run import output_folder
-from op3.common.assets import here_or_shipped, model_names
+from op3.common.assets import here_or_shipped
 from op3.common.settings import read_yaml
 from op3.envs import record_episodes
 from op3.envs.actors import Watched, find_actor
@@ -109,9 +109,6 @@ def tracks_of(cfg: DictConfig) -> Tracks:
             return of_policy(cfg, policy)
     if (path / SHOWN).is_dir():
         return of_diagnosis(path)
-    if not path.exists() and cfg.what not in model_names():
-        wanted = "a log, a policy bundle, a model.yaml, a name in assets/models or the run of a diagnosis"
-        raise ValueError(f"what={cfg.what}: there is no such file or folder; give {wanted}")
     if path.is_file() and path.suffix in (".yaml", ".yml") and read_yaml(path).get("format") == ROBOT_FORMAT:
         return of_robot(cfg)
     is_model = path.suffix in (".yaml", ".yml") or not path.exists() or (path / "model.yaml").is_file()

@@ -9,7 +9,6 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from op3.common.assets import here_or_shipped
 from op3.envs.batched import BatchedEnv
 from op3.envs.factory import make_env
 from op3.policy import ActionMap, PolicyBundle
@@ -100,8 +99,7 @@ def find_actor(
         field: of the config that named it, for messages.
 
     Raises:
-        FileNotFoundError: if there is no such bundle.
-        ValueError: if it cannot attempt the task.
+        ValueError: if there is no such bundle, or it cannot attempt the task.
     """
     action_map = task.action_map()
     baselines: dict[str, Callable[[], Any]] = {
@@ -116,8 +114,6 @@ def find_actor(
                 f"{field}=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
             )
         return Actor(name, baselines[name](), action_map)
-    if not here_or_shipped(name).exists():
-        raise FileNotFoundError(f"{field}={name}: no such folder; give a bundle's, or {', '.join(baselines)}")
     bundle = PolicyBundle.load(name)
     task.check_policy(bundle.manifest, f"{field}={name}")
     return Actor(Path(name).name, bundle, bundle.manifest.action_map)

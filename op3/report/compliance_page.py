@@ -22,14 +22,7 @@ LANDING = ("force", "acceleration", "speed", "height")
 def report_compliance(
     measured: Sequence[Measured], differences: Mapping[str, Difference], standing: Mapping[str, Energy], run: RunFolder
 ) -> dict[str, Any]:
-    """Publish what was measured.
-
-    Args:
-        measured: the policies; the first one is the one in question.
-        differences: of the first from others, by their label.
-        standing: energy of an hour of standing, by label of who stands.
-        run: where it is kept.
-    """
+    """Publish measurements of policies, the first of which is compared with the others; `standing` is for an hour."""
     first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
     energies = {each.label: each.energy for each in measured} | {f"{n}, standing": e for n, e in standing.items()}
     currents = {label: dict(zip(e.joints, e.current.tolist(), strict=True)) for label, e in energies.items()}
@@ -47,7 +40,6 @@ def report_compliance(
     tables = _tables(measured, differences, energies) | (_gain_tables(known) if known else {})
     page = Page.of(
         "compliance", figures, tables, first=first, differences=differences, with_gains=next(iter(known), None),
-        slope=_median(first.back_drive.slope),
         better=[f"{', '.join(d.better)} than {label}" for label, d in differences.items() if d.better],
     )  # fmt: skip
     values = {name: {_key(each.label): of(each) for each in measured} for name, of in NUMBERS.items()}
@@ -64,7 +56,7 @@ def _tables(
     joints = next(iter(energies.values())).joints
     return {
         "walks": (
-            ["policy", *(text for ground in measured[0].passed for text in (ground, "95 %", "m/s"))],
+            ["policy", *(text for ground in measured[0].passed for text in (words(ground), "95 %", "m/s"))],
             [[each.label, *(cell for passed in each.passed.values() for cell in _walk(passed))] for each in measured],
         ),
         "differences": (
@@ -88,7 +80,7 @@ def _tables(
             ],
         ),
         "energies": (
-            ["who", "power [W]", "cost of transport", "hottest servo", "its current [A]", "after an hour [C]", "drift"],
+            ["walk or stand", "power [W]", "cost of transport", "hottest servo", "current [A]", "in 1 h [C]", "drift"],
             [
                 [label, span(e.power), span(e.cost_of_transport), words(e.hottest),
                  *(float(values[joints.index(e.hottest)]) for values in (e.current, e.temperature)), e.drift]

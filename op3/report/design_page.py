@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from op3.identify.design import PlannedRecording, Step
+from op3.identify.identifiability import SHARE
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
 from op3.report.style import curves_figure, words
@@ -17,16 +18,7 @@ def report_design(
     run: RunFolder,
     wall_seconds: float,
 ) -> dict[str, Any]:
-    """Publish a plan.
-
-    Args:
-        steps: the plan.
-        candidates: what it was chosen from.
-        wanted: parameters whose intervals counted.
-        left_out: motions that could not be judged, with the reason.
-        run: where it is kept.
-        wall_seconds: duration of the run [s].
-    """
+    """Publish a plan that was chosen from candidates; `left_out` has the reason for each motion without a judgement."""
     last, seconds = steps[-1], [step.seconds for step in steps]
     values = {
         "plan": [{"motion": step.name, "mount": step.mount, "seconds": step.seconds} for step in steps],
@@ -52,7 +44,8 @@ def report_design(
         ),
     }  # fmt: skip
     page = Page.of(
-        "design", {"widths": figure}, tables, steps=steps, left_out=left_out,
+        "design", {"widths": figure}, tables, steps=steps, left_out=left_out, wanted=wanted, share=SHARE,
+        clear=[name for name in wanted if last.widths[name] < SHARE],
         names=list(dict.fromkeys(step.name for step in steps)), worst=max(wanted, key=lambda name: last.widths[name]),
     )  # fmt: skip
     return publish(page, values, run)

@@ -13,8 +13,8 @@ from op3.replay import Prediction
 from op3.report.page import Page
 from op3.report.panels import Panel, panels_figure
 from op3.report.result import RunFolder, publish
-from op3.report.style import MUTED, PALETTE, bars_figure
-from op3.report.tables import TableRows, place_in_range, span
+from op3.report.style import MUTED, PALETTE, bars_figure, words
+from op3.report.tables import TableRows, in_thousandths, place_in_range, span
 from op3.report.trace_figures import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted
 from op3.servo import Parameter, RobotModel, effect_class
@@ -54,7 +54,7 @@ def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, An
         figures["joints"] = _coloured(_joints_figure(verdict.windows))
     page = Page.of(
         "diagnosis", figures, _tables(verdict, split, content), verdict=verdict, content=content, folder=run.path,
-        joint=joint, effect=effect_class, robot=split.fit[0].robot,
+        joint=joint, effect=effect_class, where=_where, robot=split.fit[0].robot,
     )  # fmt: skip
     return publish(page, values, run)
 
@@ -132,24 +132,25 @@ def _coloured(figure: go.Figure) -> go.Figure:
 
 
 def _where(joints: Sequence[str], shared: bool) -> str:
-    return "all joints" if shared else " and ".join(joints)
+    return "all joints" if shared else " and ".join(map(words, joints))
 
 
 def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> dict[str, TableRows]:
     """All tables of the page."""
-    models = (verdict.base, verdict.model)
+    models, usual = (verdict.base, verdict.model), {one["name"]: one["usual"] for one in verdict.chain}
     tables: dict[str, TableRows] = {
         "findings": (
             [
-                "effect", "joints", "parameter", "size", "probability", "gain [SE]", "torque [mN m]", "load [%]", "or",
+                "effect", "joints", "parameter", "size", "probability", "gain [SE]", "torque [mN m]", "load [%]",
+                "alternatives",
             ],
             [
                 [
-                    one.effect, _where(one.joints, one.shared), one.parameter,
+                    words(one.effect), _where(one.joints, one.shared), words(one.parameter),
                     f"{span((one.size, *one.interval))} {one.unit}".removesuffix(" -")
                     + (", end of the searched range" if one.beyond else ""),
                     one.probability, one.gain.z, 1e3 * max(one.torque.values(), default=0.0), 100 * one.load,
-                    "; ".join(f"{r.effect} in {_where(r.joints, r.shared)}, {r.probability:.2f}"
+                    "; ".join(f"{words(r.effect)} in {_where(r.joints, r.shared)}, {r.probability:.2f}"
                               for r in one.alternatives),
                 ]
                 for one in verdict.findings
@@ -157,49 +158,50 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
         ),
         "ranking": (
             ["effect", "joints", "log odds"],
-            [[e["effect"], _where(e["joints"], e["shared"]), e["log_odds"]] for e in verdict.ranking],
+            [[words(e["effect"]), _where(e["joints"], e["shared"]), e["log_odds"]] for e in verdict.ranking],
         ),
         "joints": (
-            ["joint", "before [mN m]", "after [mN m]", "floor [mN m]", "unexplained [mN m]", "", "goes with"],
+            ["joint", "baseline fit", "returned model", "resolution", "unexplained", "", "depends on"],
             [
                 [
-                    joint, *(1e3 * value for value in (gap.before, gap.after, gap.floor, gap.unexplained)),
-                    "odd" if gap.flagged else "", ", ".join(f"{k} {s:.0%}" for k, s in gap.shape.items() if s > 0.1),
+                    words(joint), *(1e3 * value for value in (gap.before, gap.after, gap.floor, gap.unexplained)),
+                    "too much" if gap.flagged else "",
+                    ", ".join(f"{k} {s:.0%}" for k, s in gap.shape.items() if s > 0.1),
                 ]
                 for joint, gap in verdict.joints.items()
             ],
         ),
         "gap": (
-            ["channel", "unit", "given model", "baseline fit", "returned model", "repeats", ""],
+            ["channel", "unit", "given model", "baseline fit", "returned model", "repeats", "change"],
             [
-                [channel, v["unit"], v.get("given"), *(_with_interval(v, end) for end in ("before", "after", "floor")),
-                 v["change"]]
+                [channel.split("/")[1], *in_thousandths(v.get("given"), v["unit"])[::-1],
+                 *(_with_interval(v, end) for end in ("before", "after", "floor")),
+                 {"alike": "none beyond chance"}.get(v["change"], v["change"])]
                 for channel, v in verdict.gap.items()
             ],
         ),
         **_window_tables(verdict.windows),
         "not_shown": (
-            ["effect", "joints"], [[name, ", ".join(where) or "all"] for name, where in verdict.not_shown.items()]
+            ["effect", "joints"],
+            [[words(name), ", ".join(map(words, joints)) or "all"] for name, joints in verdict.not_shown.items()],
         ),
         "checks": checks_table((*split.fit, *split.show)),
         "motions": _motions(verdict, split),
         "returns": _returns(content.get("downstream", {})),
         "base": (
-            ["parameter", "unit", "baseline fit", "returned model", ""],
+            ["parameter", "unit", "usual", "baseline fit", "returned model", ""],
             [
-                [name, known.unit, *(m.value(name) if name in m.parameters() else None for m in models),
+                [words(name), known.unit, usual.get(name),
+                 *(m.value(name) if name in m.parameters() else None for m in models),
                  "at its bound" if _ended(verdict.base, known) else ""]
                 for name, known in verdict.base.parameters().items()
             ],
         ),
-        "chain": (
-            ["number", "unit", "found", "usual", "spread"],
-            [[one[key] for key in ("name", "unit", "found", "usual", "spread")] for one in verdict.chain],
-        ),
     }  # fmt: skip
     for mount, told in content.get("other_mounts", {}).items():
+        header = ["channel", "unit", "baseline fit", "returned model", "repeats"]
         ends = ("unit", "before", "after", "floor")
-        tables[f"on_{mount}"] = (["channel", *ends], [[key, *(v[e] for e in ends)] for key, v in told["gap"].items()])
+        tables[f"on_{mount}"] = (header, [[key.split("/")[1], *(v[e] for e in ends)] for key, v in told["gap"].items()])
     return tables
 
 
@@ -211,7 +213,8 @@ def _ended(model: RobotModel, known: Parameter) -> bool:
 
 def _with_interval(values: Mapping[str, Any], end: str) -> str | None:
     """A number and its interval."""
-    return None if values[end] is None else span((values[end], *values[f"{end}_interval"]))
+    numbers = [] if values[end] is None else [values[end], *values[f"{end}_interval"]]
+    return span([in_thousandths(value, values["unit"])[0] for value in numbers]) if numbers else None
 
 
 def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
@@ -225,9 +228,8 @@ def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
         shares = (one.percent["given"], one.percent["returned"])
         return [*(scale * getattr(one, stage) for stage in STAGES), floor, *shares]
 
-    units = {"position": ("mrad", 1e3), "current": ("mA", 1e3), "torque": ("mN m", 1e3)}
     rows = [
-        [joint, name, units[name][0], *row(of[name], units[name][1])]
+        [words(joint), name, in_thousandths(None, CHANNELS[name])[1], *row(of[name], 1e3)]
         for joint, of in ({"all joints": windows.whole} | dict(windows.joints)).items()
         for name in CHANNELS
         if name in of
@@ -250,7 +252,7 @@ def _motions(verdict: Verdict, split: LogSplit) -> TableRows:
             if len(errors) > 1:
                 for kind, each in sorted(errors.items(), key=lambda item: str(item[0])):
                     rows.append([str(kind), len(each), *(1e3 * np.sqrt(np.mean(each, 0))).tolist()])
-    return ["motion or gain", "runs", "before [mrad]", "after [mrad]"], rows
+    return ["motion or gain", "runs", "baseline fit [mrad]", "returned model [mrad]"], rows
 
 
 def _returns(returns: Mapping[str, Any]) -> TableRows:

@@ -41,18 +41,9 @@ def report_evaluation(
     joint: str,
     files: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Publish an evaluation.
+    """Publish an evaluation; the first log is drawn.
 
-    Args:
-        logs: the episodes; the first one is drawn.
-        run: where it is kept.
-        label: of the policy.
-        task: that was attempted.
-        numbers: for ``result.yaml``.
-        returns: R_eval of every episode by label, the policy's first and any baselines' after it.
-        profile: of the gait of that joint, for walking.
-        joint: that the profile is of.
-        files: that lie beside the page, with what is in them.
+    `returns` has R_eval of every episode by label, the policy's first. `profile` is of the joint's gait, if it walks.
     """
     robot = logs[0].robot
     outer = [leg[place] for place in (-2, -1) for leg in robot.legs] or list(robot.arm[-2:])

@@ -15,7 +15,7 @@ from markupsafe import Markup, escape
 from op3.common.private import scrub
 from op3.common.writing import write_text
 from op3.report.style import DARK, words
-from op3.report.tables import Cell, TableRows, ends, number, span
+from op3.report.tables import Cell, TableRows, ends, in_thousandths, number, span
 
 LIBRARY = "plotly.min.js"
 """Draws the figures; it lies beside the pages of a folder, or above those of a multirun's numbered folders."""
@@ -126,7 +126,7 @@ class Page:
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str = "", digits: int = 4) -> None:
-        """Add a table, which the reader can sort; numbers are aligned at the decimal point.
+        """Add a table, which the reader can sort, without its empty columns; numbers align at the decimal point.
 
         Args:
             header: of the columns, with units.
@@ -140,14 +140,10 @@ class Page:
         for i, row in enumerate(rows):
             if len(row) != len(header):
                 raise ValueError(f"row {i} of the table has {len(row)} cells, the header {len(header)}")
-        columns = [_column(name, [row[i] for row in rows], digits) for i, name in enumerate(header)]
+        filled = [column for column in zip(header, *rows, strict=True) if set(column[1:]) - {None, ""}]
+        columns = [_column(name, cells, digits) for name, *cells in filled]
         cells = zip(*(column["cells"] for column in columns), strict=True)
         self._add("table", caption, columns=columns, rows=list(cells))
-
-    def files(self, files: Mapping[str, str]) -> None:
-        """Link files that lie beside the page: relative path, and what is in them."""
-        for name, text in files.items():
-            self._list("file", name, text)
 
     def provenance(self, values: Mapping[str, Any]) -> None:
         """Say at the foot where the page comes from; nested mappings become one line each."""
@@ -247,6 +243,9 @@ _OPTIONS: dict[str, Any] = dict(
 )
 # its text is escaped when the page is written; what a template includes ends with a blank line
 PROSE_TEMPLATES = jinja2.Environment(keep_trailing_newline=True, **_OPTIONS)
-PROSE_TEMPLATES.filters |= {"number": _text, "words": words, "span": span, "ends": ends}
+PROSE_TEMPLATES.filters |= {
+    "number": _text, "words": words, "span": span, "ends": ends, "unit": lambda unit: in_thousandths(None, unit)[1],
+    "in_unit": lambda value, unit: _text(in_thousandths(value, unit)[0]),
+}  # fmt: skip
 _TEMPLATES = jinja2.Environment(autoescape=True, **_OPTIONS)
 _TEMPLATES.filters["inline"] = _inline

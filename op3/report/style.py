@@ -34,7 +34,8 @@ COMMAND = "command"
 NAMES = yaml.safe_load((Path(__file__).parent / "templates" / "names.yaml").read_text(encoding="utf-8"))
 """Names on pages and in results, by kind; the file explains each."""
 
-_WORDS = {"l": "left", "r": "right", "p": "P", "d": "D", "sho": "shoulder", "el": "elbow", "ank": "ankle", "com": "CoM"}
+_WORDS = {"l": "left", "r": "right", "p": "P", "d": "D", "sho": "shoulder", "el": "elbow", "ank": "ankle", "com": "CoM",
+          "dte": "DTE", "imu": "IMU", "lugre": "LuGre"}  # fmt: skip
 
 
 def colours(labels: Sequence[str]) -> dict[str, str]:

@@ -22,8 +22,10 @@ def number(value: float, digits: int = 4) -> str:
 
     Integers are written whole, and numbers that fewer digits say exactly (a range's 0.25) with no more.
     """
-    if isinstance(value, int) or value == 0:
-        text = f"{value:.0f}" if value == 0 else f"{value:d}"
+    if abs(value) < 1e-15:
+        text = "0"
+    elif isinstance(value, int):
+        text = f"{value:d}"
     elif not math.isfinite(value):
         text = str(value)
     elif 1e-4 <= abs(value) < 1e6:
@@ -42,15 +44,38 @@ def span(value: Any, digits: int = 3) -> str | None:
     middle = value.value if hasattr(value, "value") else None if value is None else value[0]
     if middle is None or not math.isfinite(middle):
         return None
-    return number(float(middle), digits) + ends(value, " (", ")", digits)
+    return _within(float(middle), *_interval(value), digits) + ends(value, " (", ")", digits)
 
 
 def ends(value: Any, before: str = "", after: str = "", digits: int = 3) -> str:
     """The interval of an `Estimate`, or the last two of some numbers, in words; nothing where there is none."""
-    low, high = (value.low, value.high) if hasattr(value, "low") else (None, None) if value is None else value[-2:]
-    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+    low, high = _interval(value)
+    if low is None or high is None:
         return ""
-    return f"{before}{number(float(low), digits)} to {number(float(high), digits)}{after}"
+    return f"{before}{_within(low, low, high, digits)} to {_within(high, low, high, digits)}{after}"
+
+
+def _interval(value: Any) -> tuple[float | None, float | None]:
+    low, high = (value.low, value.high) if hasattr(value, "low") else (None, None) if value is None else value[-2:]
+    known = low is not None and high is not None and math.isfinite(low + high)
+    return (float(low), float(high)) if known else (None, None)
+
+
+def _within(value: float, low: float | None, high: float | None, digits: int) -> str:
+    """A number with at most one digit more than the width of its interval."""
+    if low is None or high is None or not low < high:
+        return number(value, digits)
+    decimals = 1 - math.floor(math.log10(high - low))
+    if not value or 1e-4 <= abs(value) < 1e6:
+        return f"{round(value, decimals) + 0.0:.{max(0, decimals)}f}".replace("-", "−")
+    return number(value, max(1, decimals + 1 + math.floor(math.log10(abs(value)))))
+
+
+def in_thousandths(value: float | None, unit: str) -> tuple[float | None, str]:
+    """A value and its unit, in mrad, mA or mN m where the unit is rad, A or N m."""
+    if unit not in ("rad", "A", "N m"):
+        return value, unit
+    return None if value is None else 1e3 * value, f"m{unit}"
 
 
 Bounds = Mapping[str, tuple[float, float]]

@@ -54,16 +54,7 @@ def report_training(
     settings: Mapping[str, Any],
     files: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Publish a training.
-
-    Args:
-        history: of the run.
-        run: where it is kept.
-        title: what was trained on what.
-        numbers: of the final evaluation and the budget, for ``result.yaml``.
-        settings: of the run, shown as a table.
-        files: that lie beside the page, with what is in them.
-    """
+    """Publish a training; `numbers` of the final evaluation and the budget are for ``result.yaml``."""
     figures = {"learning": learning_figure(history), "reward": reward_figure(history)}
     tables = {"settings": (["setting", "value"], [[name, str(value)] for name, value in settings.items()])}
     page = Page.of("training", figures, tables, title=title, n=numbers, files=files)

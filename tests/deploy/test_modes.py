@@ -297,11 +297,11 @@ def test_a_log_is_not_written_over(tmp_path):
 
 
 def test_collect_from_the_emulated_robot(tmp_path):
-    """`collect robot=emulated` leaves the same folders as the stand-in; a policy records its episodes."""
+    """`collect source=emulated` leaves the same folders as the stand-in; a policy records its episodes."""
     bundle = hold_policy().save(tmp_path / "steady")
     out = tmp_path / "out"
     result = run_script(
-        *("collect.py", "robot=emulated", f"policy={bundle}", "duration=0.3", "mount=stand"), f"hydra.run.dir={out}"
+        *("collect.py", "source=emulated", f"policy={bundle}", "duration=0.3", "mount=stand"), f"hydra.run.dir={out}"
     )
     assert result.returncode == 0, result.stdout + result.stderr
     log = Rollout.load(out / "steady-0")

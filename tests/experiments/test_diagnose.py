@@ -75,7 +75,7 @@ def test_jobs_write_verdict_page_and_one_wandb_group(logs, tmp_path):
         (["data={logs}/none"], "none"),
         (["data={logs}", "model=papr"], "the nearest is 'paper'"),
         (["data={logs}", "mode=twice"], "once, loop or aliasing"),
-        (["data={logs}", "policy=nowhere"], "nowhere: no manifest.yaml there"),
+        (["data={logs}", "policy=nowhere"], "policy=nowhere: no such folder"),
         (["planned=leg_suite"], "mode=aliasing"),
         (["planned=push_down", "mode=aliasing"], "push_down"),
     ],

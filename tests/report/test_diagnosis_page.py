@@ -37,17 +37,17 @@ def told(folder, *findings: Finding, flagged: bool = False) -> str:
 
 
 def test_a_name_comes_with_its_rival_and_what_would_tell_them_apart(tmp_path):
-    """The lead says which experiment tells them apart; size and probability stand in the table; three stages."""
+    """The lead says which experiment distinguishes them; size and probability are in the table; tiles have stages."""
     rival = Alternative("dte", ("l_knee",), False, 0.3)
     finding = Finding(
         "backlash", ("l_knee",), False, "backlash", 0.021, "rad", (0.015, 0.027), 0.7, 5.0, GAIN, alternatives=(rival,)
     )
     text = told(tmp_path, finding)
-    assert "backlash can be distinguished from its alternatives by" in text
+    assert "does not include backlash in left knee or DTE in left knee." in text
+    assert "rad, probability 0.70. To distinguish it from its alternatives:" in text
     assert "0.021 (0.015 to 0.027) rad" in text
-    assert "dte in l_knee, 0.30" in text
-    assert "20.00 mrad with the given model, 6.00 refitted, 4.00 with the findings (repeats differ by 2.00)" in text
-    assert "given model 0.02" in text
+    assert "DTE in left knee, 0.30" in text
+    assert "given model 20, refitted 6, repeats differ by 2" in text
 
 
 @pytest.mark.parametrize("flagged", [True, False])
@@ -55,7 +55,7 @@ def test_what_was_abstained_from_is_said_first_with_what_would_settle_it(tmp_pat
     """A joint that nothing explains leaves the likeliest effect with its experiment; nothing missing names none."""
     text = told(tmp_path, flagged=flagged)
     experiment = effect_class("backlash").separating_experiment
-    wanted = f"likeliest is backlash in l_knee; an experiment that would decide: {experiment}"
+    wanted = f"The likeliest is backlash in left knee. To decide: {experiment}"
     assert (wanted in text) == flagged
 
 
@@ -63,4 +63,6 @@ def test_a_pure_number_has_no_unit(tmp_path):
     """An efficiency is 0.686 and not "0.686 -", in the sentence as in the table."""
     dte = Finding("dte", ("l_knee",), True, "backward_efficiency", 0.686, "-", (0.58, 0.791), 0.7, 5.0, GAIN)
     assert dte.phrase == "dte (backward_efficiency 0.686)"
-    assert "0.686 (0.580 to 0.791) -" not in told(tmp_path, dte)
+    text = told(tmp_path, dte)
+    assert "DTE: backward efficiency 0.69 (0.58 to 0.79), probability 0.70." in text
+    assert "(0.58 to 0.79) -" not in text

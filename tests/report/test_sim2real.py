@@ -68,7 +68,7 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     numbers = read_result(tmp_path / "result.yaml")
     assert (numbers["transfer_0.share"], numbers["transfer_1.success"], numbers["rounds"]) == (0.4, True, 1)
     first = told(tmp_path, [good], Learned(spared=True), what="Balancing. The robot is real.")
-    assert "Condition: reidentified (allowed, but not needed). Balancing. The robot is real." in first
+    assert "The model needed no correction. Balancing. The robot is real." in first
     assert "The first transfer fails" in told(tmp_path, [failed], condition="excitation_only")
     walks = transfer([250.0], [240.0] * 10, [True] * 10, [True] * 7 + [False] * 3)
     said = "The first transfer fails: 7 of 10 episodes walk to their end (95 %: 40 to 89 %)"

@@ -27,8 +27,18 @@ def test_a_written_number_is_near_the_number(value, digits):
 
 def test_a_value_stands_with_its_interval_where_there_is_one():
     """An estimate or three numbers; without an interval the value alone, without a value nothing."""
-    assert span(Estimate(0.7, 0.6512, 0.75)) == span((0.7, 0.6512, 0.75)) == "0.7 (0.651 to 0.75)"
+    assert span(Estimate(0.7, 0.6512, 0.75)) == span((0.7, 0.6512, 0.75)) == "0.700 (0.651 to 0.750)"
     assert (span((1.5, float("nan"), float("nan"))), span(None)) == ("1.5", None)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [((0.6494, 0.5331, 0.7652), "0.65 (0.53 to 0.77)"), ((97.46, 20.7, 100.0), "97 (21 to 100)"),
+     ((5.312e-5, 5.06e-5, 5.54e-5), "5.31e-05 (5.06e-05 to 5.54e-05)"), ((-0.01, -0.3, 0.3), "−0.01 (−0.30 to 0.30)")],
+)  # fmt: skip
+def test_a_value_has_at_most_one_digit_more_than_its_interval(values, text):
+    """The second digit of the interval's width is the last one of all three numbers."""
+    assert span(values) == text
 
 
 def test_parameters_stand_with_unit_range_and_interval():

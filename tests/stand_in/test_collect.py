@@ -26,7 +26,7 @@ def collect(*arguments: str) -> CompletedProcess[str]:
 def test_two_recordings(tmp_path):
     """Repeats land in the run's folder, their paths are printed, and they are logs of the asked motion."""
     result = collect(
-        *("robot=stand_in", "motion=squat", "world=eta_070", "repeats=2", "seed=3"),
+        *("source=stand_in", "motion=squat", "world=eta_070", "repeats=2", "seed=3"),
         *("motion.duration=0.4", "motion.frequency=0.6", f"hydra.run.dir={tmp_path}"),
     )
     assert result.returncode == 0, result.stderr
@@ -124,7 +124,7 @@ def test_what_has_been_recorded_is_not_recorded_again(tmp_path):
 @pytest.mark.slow
 def test_a_killed_run_on_the_robot_goes_on(tmp_path):
     """Killed while it records, the same command sets the ticks of that run aside, and ends with the same logs."""
-    asked = ["robot=emulated", "motion=squat", "motion.duration=1.0"]
+    asked = ["source=emulated", "motion=squat", "motion.duration=1.0"]
     straight = collect(*asked, f"hydra.run.dir={tmp_path / 'straight'}")
     assert straight.returncode == 0, straight.stderr
     folder = tmp_path / "killed"
