@@ -85,7 +85,7 @@ class Schedule:
             unknown = set(entry) - {"time", *RANGES} if isinstance(entry, dict) else {"it"}
             numbers = isinstance(entry, dict) and all(type(value) in (int, float) for value in entry.values())
             if unknown or not numbers or "time" not in entry:
-                raise ValueError(f"{where}: must be a mapping of time and any of {', '.join(RANGES)} to numbers")
+                raise ValueError(f"{where}: must contain time and any of {', '.join(RANGES)}, each a number")
             times.append(float(entry["time"]))
             values.append([float(entry.get(axis, 0.0)) for axis in RANGES])
         if times != sorted(set(times)):

@@ -144,7 +144,7 @@ class Monitor:
 
     def _check_parts(self, whose: str, gap: Gap | None) -> None:
         if gap is not None:
-            raise Stop(ExitCode.SELF_COLLISION, f"at the {whose} angles parts of the robot collide: {gap}", damp=True)
+            raise Stop(ExitCode.SELF_COLLISION, f"parts of the robot collide at the {whose} angles: {gap}", damp=True)
 
     def _check_heat(self, state: RobotState) -> None:
         hot = state.temperature >= self._limits.temperature

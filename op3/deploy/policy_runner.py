@@ -76,7 +76,7 @@ class PolicyRunner:
             example = self._sense(home, 0.0 * home, np.zeros(3), np.zeros(3), 0)
             self._observer = Observer(manifest.observations, self._robot, manifest.history, example)
         except ValueError as error:
-            raise ValueError(f"field layout: this version cannot observe it ({error})") from None
+            raise ValueError(f"field layout: this version of op3 lacks an observation ({error})") from None
         if self._observer.layout != dict(manifest.layout):
             observed = self._observer.layout
             raise ValueError(f"field layout: this version observes {observed}, the policy {dict(manifest.layout)}")

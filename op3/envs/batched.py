@@ -81,7 +81,7 @@ class BatchedEnv(EnvBase):
         """Values that the episodes' robots drew, by parameter, ``[num_envs]``."""
         self._fixed = dict(parameters or {})
         if clash := sorted(set(self.parameters_drawn) & set(self._fixed)):
-            raise ValueError(f"parameter {clash[0]!r} is both given and drawn; name it in one place")
+            raise ValueError(f"parameter {clash[0]!r} is both set and randomised; remove one of the two")
         self.timestep = self._simulate(timestep)
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
         self.commander: Any = None

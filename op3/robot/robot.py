@@ -201,7 +201,7 @@ class Robot:
         """
         pairs = self.partners
         if not pairs:
-            raise ValueError(f"{self.name} has no left and right: its file names no mirror partners")
+            raise ValueError(f"{self.name} has no mirrored joints: add `mirror` to the joints in its file")
         data, found = mujoco.MjData(self.bare_model), {}
         mujoco.mj_kinematics(self.bare_model, data)
         for name in self.joints:

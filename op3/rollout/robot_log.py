@@ -44,7 +44,7 @@ def as_robot(log: Rollout, robot: Robot) -> Rollout:
     known = called(robot)
     for joint in log.joints:
         if joint not in known:
-            remedy = rename(joint, known, f"{robot.name} has {', '.join(robot.joints)}")
+            remedy = rename(joint, known, f"rename it, or give its robot=; {robot.name} has {', '.join(robot.joints)}")
             raise LogError("unknown joint", remedy, source=log.metadata.recording, column=joint)
     names = [known[joint] for joint in log.joints]
     order = np.argsort(robot.indices(names))

@@ -26,9 +26,9 @@ def test_a_schedule_holds_each_command(tmp_path):
     ("text", "message"),
     [
         ("commands: 3", "field commands: must be a list"),
-        ("commands: [{time: 0.0, foward: 0.2}]", r"field commands\.0: must be a mapping of time and any of forward"),
-        ("commands: [{forward: 0.2}]", r"field commands\.0: must be a mapping of time"),
-        ("commands: [{time: 0.0, forward: fast}]", r"field commands\.0: must be a mapping"),
+        ("commands: [{time: 0.0, foward: 0.2}]", r"field commands\.0: must contain time and any of forward"),
+        ("commands: [{forward: 0.2}]", r"field commands\.0: must contain time"),
+        ("commands: [{time: 0.0, forward: fast}]", r"field commands\.0: must contain time"),
         ("commands: [{time: 2.0}, {time: 1.0}]", "times must rise"),
     ],
 )

@@ -46,7 +46,7 @@ def test_mirror_partners_and_signs(tmp_path):
     np.testing.assert_array_equal(op3.mirrored(op3.mirrored(rows)), rows)
     np.testing.assert_allclose(op3.mirrored(op3.home), op3.home)
     np.testing.assert_allclose(np.sort(op3.mirrored(op3.limits.T), axis=0), op3.limits.T)
-    with pytest.raises(ValueError, match="four has no left and right"):
+    with pytest.raises(ValueError, match="four has no mirrored joints"):
         _ = load_robot(write_robot(tmp_path, "four")).mirror
 
 
