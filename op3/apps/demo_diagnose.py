@@ -19,7 +19,7 @@ from op3.apps.command_result import CommandResult
 from op3.apps.current_run import output_folder
 from op3.apps.diagnose import diagnose
 from op3.apps.progress import ProgressLine
-from op3.report.tables import in_thousandths, number, span
+from op3.report.tables import in_thousandths, span
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
 from op3.stand_in.suites import SETTINGS
@@ -28,9 +28,9 @@ from op3.stand_in.suites import SETTINGS
 def record(case: Case, folder: Path) -> Path:
     """Record the suite of the case's robot; returns the folder of the logs."""
     runs, say = SETTINGS[case.robot].rich(case.seed), ProgressLine()
-    for run, log in enumerate(record_case(case, runs), start=1):
-        log.save(folder / f"{run:02d}_{log.metadata.motion}", overwrite=True)
-        say("recording", run / len(runs))
+    for number, log in enumerate(record_case(case, runs), start=1):
+        log.save(folder / f"{number:02d}_{log.metadata.motion}", overwrite=True)
+        say("recording", number / len(runs))
     return folder
 
 
@@ -62,7 +62,7 @@ def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) 
     gaps = []
     for channel, gap in content["gap"].items():
         (before, unit), (after, _) = (in_thousandths(gap[end], gap["unit"]) for end in ("before", "after"))
-        gaps.append(f"{channel.split('/')[1]} {number(before, 3)} to {number(after, 3)} {unit}")
+        gaps.append(f"{channel.split('/')[1]} {before:.3g} to {after:.3g} {unit}")
     findings = [named(finding) for finding in content["findings"]] or [
         "nothing; the diagnosis missed the hidden effect"
     ]

@@ -57,8 +57,9 @@ def ends(value: Any, before: str = "", after: str = "", digits: int = 3) -> str:
 
 def _interval(value: Any) -> tuple[float | None, float | None]:
     low, high = (value.low, value.high) if hasattr(value, "low") else (None, None) if value is None else value[-2:]
-    known = low is not None and high is not None and math.isfinite(low + high)
-    return (float(low), float(high)) if known else (None, None)
+    if low is None or high is None or not math.isfinite(low + high):
+        return None, None
+    return float(low), float(high)
 
 
 def _within(value: float, low: float | None, high: float | None, digits: int) -> str:
