@@ -146,11 +146,10 @@ def check(cfg: DictConfig) -> None:
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
             raise ValueError(f"{name}={value}: there is no such file or folder; correct the path")
     for name, known in {"policy": BASELINES, "baseline": BASELINES, "what": model_names()}.items():
-        given = None if OmegaConf.is_missing(cfg, name) or cfg.get("live") else plain(cfg.get(name))
-        for value in given if isinstance(given, list) else [given]:
-            if isinstance(value, str) and value not in known and not here_or_shipped(value).exists():
-                meaning = REQUIRED["what"] if name == "what" else f"a bundle's, or {', '.join(BASELINES)}"
-                raise FileNotFoundError(f"{name}={value}: no such folder; give {meaning}")
+        value = None if OmegaConf.is_missing(cfg, name) or cfg.get("live") else cfg.get(name)
+        if isinstance(value, str) and value not in known and not here_or_shipped(value).exists():
+            meaning = REQUIRED["what"] if name == "what" else f"a bundle's, or {', '.join(BASELINES)}"
+            raise FileNotFoundError(f"{name}={value}: no such folder; give {meaning}")
     effect, hideable = cfg.get("hidden_effect"), read_yaml(Path(__file__).parents[1] / "stand_in" / "kinds.yaml")
     if effect and effect not in hideable:
         raise ValueError(f"hidden_effect={effect}: there is no such effect{nearest(effect, hideable)}")
