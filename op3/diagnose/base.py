@@ -180,6 +180,13 @@ def settle(
         done = number == steps or gained < SETTLED
 
 
+def settled(reduction: Reduction, base: Baseline, settings: Settings = SETTINGS) -> Baseline:
+    """A base fitted anew from where it is, within the ranges of its numbers: where one of them was taken back to its
+    range, the others have not followed."""
+    fitted = settle(reduction, base.coordinates, base.point, settings, state=base.fit.state)
+    return replace(fitted, others=base.others)
+
+
 def damped(fit: Posterior, numbers: Numbers) -> np.ndarray:
     """Gauss-Newton steps ``[damping, number]`` (Levenberg 1944, Marquardt 1963); what would leave its range stays.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from op3.diagnose.base import QUANTILE, Baseline, at_point, unfitted
+from op3.diagnose.base import QUANTILE, Baseline, at_point, settled, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
 from op3.diagnose.doubts import doubts, freed, unidentifiable, unusual
@@ -155,26 +155,27 @@ class Diagnosis:
 
     def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
         first, last = self.stages[0], self.stages[-1]
-        points = {stage: on_whole_runs(stage.base, self.split.fit) for stage in (first, last)}
-        points = {stage: stage.base.point if point is None else point for stage, point in points.items()}
-        baseline = at_point(first.base.coordinates, points[first])
-        deviation = np.sqrt(np.diag(last.fit.covariance))[: len(points[last])]
-        deviation = np.hypot(deviation, points[last] - last.base.point)  # windows and whole runs disagree by so much
-        returned = at_point(last.base.coordinates, points[last], deviation)
+        base = settled(reduction, first.base, self.settings) if first.base.taken_back.any() else first.base
+        points = [on_whole_runs(one, self.split.fit) for one in (base, last.base)]
+        before, after = (one.point if at is None else at for one, at in zip((base, last.base), points, strict=True))
+        baseline = at_point(base.coordinates, before)
+        deviation = np.sqrt(np.diag(last.fit.covariance))[: len(after)]
+        deviation = np.hypot(deviation, after - last.base.point)  # windows and whole runs disagree by so much
+        returned = at_point(last.base.coordinates, after, deviation)
         findings = [*self._named(reduction, last), *self._of_base(given, reduction, last)]
         shown = show(baseline, returned, self.split, self.seed, given)
         return Verdict(
             tuple(sorted(findings, key=lambda finding: -finding.probability)),
             joint_gaps(reduction, first, last),
-            doubts(first.base),
-            tuple(unidentifiable(first.base)),
+            doubts(base),
+            tuple(unidentifiable(base)),
             self._cannot_tell(reduction),
             baseline,
             returned,
-            window_gaps((given, baseline, returned), first.base, self.split, shown_logs(self.split)),
+            window_gaps((given, baseline, returned), base, self.split, shown_logs(self.split)),
             shown["gap"],
             shown["loss"],
-            self._chain(first.base),
+            self._chain(base),
             self._ranking(reduction, first),
             ends=tuple(-end.gain for end in first.base.others),
             not_shown=not_shown(first, reduction.engine.joints),

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp
 
-from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, settle
+from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, settle, settled
 from op3.diagnose.candidates import Candidate, candidates, parts_of, place_priors
 from op3.diagnose.coordinates import Coordinate, Coordinates
 from op3.diagnose.doubts import at_bound, opened
@@ -16,7 +16,8 @@ from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.naming import Judged, Named, NamingStage, Proposal, Refit, Rival, numbers_of
 from op3.diagnose.reduction import COARSE, Reduction
 from op3.diagnose.relevance import relevance
-from op3.diagnose.starts import robust, thin_windows
+from op3.diagnose.starts import GEAR, robust, thin_windows
+from op3.servo import Effect
 
 MOST = 3
 """Findings that are looked for, bad joints, and places of which candidates are refitted."""
@@ -90,6 +91,10 @@ class Search:
         stages = [self.first(base)]
         for number in range(most):
             further = self.further(stages[-1])
+            if further is None and stages[-1].base.taken_back.any():
+                # nothing explains what the base was taken back from: fitted within its range it may show something else
+                stages[-1] = self.around(stages[-1], stages[-1].base, stages[-1].named)
+                further = self.further(stages[-1])
             if further is None:
                 break
             gains = self.backward(further)
@@ -234,8 +239,9 @@ class Search:
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
     def _name(self, stage: NamingStage, proposals: Sequence[Proposal]) -> NamingStage | None:
-        """The proposals refitted with the base; the one named that predicts runs that were left out best, with those
-        that are not distinguished from it; None where none predicts them better beyond chance, or all do too little."""
+        """The proposals refitted with the base, and one of them named: of those that predict runs that were left out as
+        well as the best, which gains on the same, the most evident, which has the fewest numbers to choose. None where
+        none predicts them better beyond chance, or all do too little."""
         if not proposals:
             return None
         refits, control = self.refitted(stage, proposals)
@@ -245,9 +251,11 @@ class Search:
         passed = [one for one in judged if self._passes(one.named)]
         if not passed:
             return None
-        best = max(passed, key=lambda one: one.named.evidence)
-        alike = [one for one in passed if one is not best and _alike(best.score, one.score, without)]
-        behind = [Rival(one.named.candidate, Gain.of(best.score, one.score)) for one in alike]
+        leader = max(passed, key=lambda one: one.named.gain.mean)
+        alike = [one for one in passed if one is leader or _alike(leader.score, one.score, without)]
+        level = [one for one in alike if not self.good(Gain.of(leader.score, one.score))]
+        best = max(level, key=lambda one: one.named.log_odds)
+        behind = [Rival(one.named.candidate, Gain.of(best.score, one.score)) for one in level if one is not best]
         rivals = tuple(rival for rival in behind if not self.good(rival.behind))
         return self.around(stage, best.base, (*stage.named, replace(best.named, rivals=rivals)))
 
@@ -255,14 +263,16 @@ class Search:
         return self.good(one.gain) and one.relevance.matters and one.log_odds > self.settings.alarm
 
     def _judged(self, stage: NamingStage, refit: Refit, without: HeldOutScore) -> Judged:
-        """A refit beside the model without it; what it does is held against what named effects of its family do."""
+        """A refit beside the model without it; what it does is held against what named effects of its family do, and
+        what the base's own law of the gear does."""
         candidate, base, rows, size = stage.found[refit.number], refit.base, stage.judge.rows, len(stage.base.point)
-        related = [one for one in stage.named if candidate.effect.related({one.candidate.effect.name})]
-        relatives = [base.coordinates.entries.index(one.coordinates[0]) for one in related]
+        own, more = base.coordinates.entries[:size], base.coordinates.entries[size:]
+        named = [one.coordinates[0] for one in stage.named if candidate.effect.related({one.candidate.effect.name})]
+        relatives = [own.index(entry) for entry in (*named, *_of_gear(candidate.effect, base))]
         its, score = self.reduction.rows(base.linear, (), rows), self.held.score(base, rows)
         does = relevance(self.reduction, base, size, its, self.settings, relatives)
-        gain, own = Gain.of(score, without), base.coordinates.entries[size:]
-        return Judged(Named(candidate, own, refit.log_odds, gain, does), base, score)
+        named = Named(candidate, more, refit.log_odds, Gain.of(score, without), does)
+        return Judged(named, base, score)
 
     def refitted(self, stage: NamingStage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Baseline]:
         """Proposals refitted with the base, the best of each place, the most evident first; and the base refitted
@@ -326,7 +336,7 @@ class Search:
 
     def around(self, stage: NamingStage, base: Baseline, named: tuple[Named, ...]) -> NamingStage:
         """The judge around a base with what was named, the leading candidates' columns made anew."""
-        base = settle(self.reduction, base.coordinates, base.point, self.settings, state=base.fit.state)
+        base = settled(self.reduction, base, self.settings)
         odds, found = stage.judge.scores(stage.fit), self._candidates(base, named)
         moved = {key for i in np.argsort(-odds)[:RELINEARISED] for key in stage.found[i].parts}
         parts = [one for one in parts_of(found) if one.key in moved or one.key not in stage.columns]
@@ -338,7 +348,11 @@ class Search:
         gone = [entry for one in stage.named if one not in kept for entry in one.coordinates]
         whole = stage.base.coordinates
         at = [i for i, entry in enumerate(whole.entries) if entry not in gone]
-        coordinates = Coordinates(whole.model, whole.joints, tuple(whole.entries[i] for i in at))
+        entries = tuple(whole.entries[i] for i in at)
+        fitted = {entry.parameter for entry in entries}
+        effects = [one.candidate.effect for one in stage.named if one not in kept]
+        off = [one.name for one in effects if not fitted & {known.name for known in one.parameters}]
+        coordinates = Coordinates(whole.model.without(*off), whole.joints, entries)
         state, like = stage.base.fit.state, stage.base.linear
         return settle(self.reduction, coordinates, stage.base.point[at], self.settings, steps, state, like)
 
@@ -368,6 +382,14 @@ def _alike(one: HeldOutScore, other: HeldOutScore, without: HeldOutScore) -> boo
     """Whether two models predict the same joints of the same runs better: the correlation of their gains."""
     first, second = ((score.density - without.density).ravel() for score in (one, other))
     return float(first @ second) > ALIKE * float(np.linalg.norm(first) * np.linalg.norm(second))
+
+
+def _of_gear(effect: type[Effect], base: Baseline) -> list[Coordinate]:
+    """The base's shared numbers of the gear's losses, if an effect is another law of these."""
+    laws = [one for one in base.coordinates.model.effects if one.stage in GEAR and effect.related({one.name})]
+    names = {known.name for law in laws for known in law.parameters if known.neutral is not None}
+    shared = [entry for entry in base.coordinates.entries if entry.joints is None and entry.kind == "value"]
+    return [entry for entry in shared if entry.parameter in names and effect.stage in GEAR]
 
 
 def _within(own: Sequence[Coordinate]) -> float:

@@ -1,17 +1,19 @@
 """How well a model predicts windows of runs that it was not fitted to: what decides names, and what the gap shows.
 
 Runs are left out in turn. The numbers of a model are estimated from the other runs by one Gauss-Newton step from where
-all runs put them, the windows of a run left out are simulated with these numbers, and what the model leaves of their
-torques, currents and rates has a log density: that of the judge, with Student's noise and what each joint does that no
-effect explains integrated out, of sizes that the other runs say (Geisser 1975; Vehtari, Gelman & Gabry 2017). Runs
-repeat an experiment and windows of one run do not, so that a gain of one model on another has a standard error over
-runs.
+all runs put them, the windows of a run left out are simulated with these numbers and with draws from their posterior,
+and what the model leaves of their torques, currents and rates has a log density: that of the judge, with Student's
+noise and what each joint does that no effect explains integrated out, of sizes that the other runs say, averaged over
+the draws (Geisser 1975; Vehtari, Gelman & Gabry 2017). With one set of numbers, a single joint that just sticks in one
+window decides the gain of a run. Runs repeat an experiment and windows of one run do not, so that a gain of one model
+on another has a standard error over runs.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
+from scipy.special import logsumexp
 from scipy.stats import norm, t
 
 from op3.diagnose.base import Baseline, base_numbers
@@ -25,6 +27,9 @@ FEWEST_RUNS = 5
 """With fewer runs than these, blocks of their time are left out in turn, `BLOCKS` in all."""
 
 BLOCKS = 8
+
+DRAWS = 3
+"""Sets of numbers drawn from the posterior, beside its mean."""
 
 ROUNDS = 3
 """Rounds by which it is found how wild each window of a run left out is."""
@@ -92,19 +97,21 @@ class HeldOut:
         rows = reduction.rows(base.linear, (), like)
         numbers, state = base_numbers(own, point), base.fit.state
         whole = Judge(rows, numbers, reduction.settings).fit(state=state, rounds=0).mean
-        points = []
+        points, rng = [], np.random.default_rng(0)
         for held in self._folds:
             judge = Judge(_some(rows, ~held), numbers, reduction.settings)
             fit = judge.fit(state=_of_some(state, ~held), rounds=0)
-            points.append(np.clip(point + fit.mean - whole, own.low, own.high))
+            draws = rng.multivariate_normal(np.zeros(len(point)), fit.covariance, DRAWS, method="cholesky")
+            points += [np.clip(point + fit.mean - whole + away, own.low, own.high) for away in (0.0, *draws)]
         lacking = -reduction.reduce(base.linear.reducers, reduction.at(own, np.array(points)))
         density = np.zeros((int(self.runs.max()) + 1, len(rows.joints)))
-        for left, held in zip(lacking, self._folds, strict=True):
+        for drawn, held in zip(lacking.reshape(-1, DRAWS + 1, *lacking.shape[1:]), self._folds, strict=True):
             for run in np.unique(self.runs[held]):
                 mine = self.runs == run
                 for j in range(len(rows.joints)):
-                    args = left[j, mine], rows.variance[j, mine], rows.features[j, mine], rows.kinds
-                    density[run, j] = log_density(*args, state.noise[j], state.law[j], reduction.settings.tails)
+                    args = rows.variance[j, mine], rows.features[j, mine], rows.kinds, state.noise[j], state.law[j]
+                    each = [log_density(left[j, mine], *args, reduction.settings.tails) for left in drawn]
+                    density[run, j] = logsumexp(each) - np.log(len(each))
         return HeldOutScore(density)
 
 

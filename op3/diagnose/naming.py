@@ -82,11 +82,6 @@ class Named:
     relevance: Relevance
     rivals: tuple[Rival, ...] = ()
 
-    @property
-    def evidence(self) -> float:
-        """What fitted windows and runs that were left out say together."""
-        return self.log_odds + self.gain.mean * self.gain.runs
-
 
 @dataclass(frozen=True, eq=False)
 class Judged:

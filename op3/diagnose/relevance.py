@@ -9,6 +9,7 @@ from op3.diagnose.base import Baseline
 from op3.diagnose.judge import Rows
 from op3.diagnose.judge_settings import PIECES, Settings
 from op3.diagnose.reduction import Reduction
+from op3.servo import parameter
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Relevance:
         torque: it makes, root mean square over windows, by joint [N m].
         load: largest share of a joint's torque that this is.
         floor: largest ratio of what it does to a reading (of torque, current or rate) to that reading's noise.
-        matters: whether both are enough, and more than the form of a named effect may be off by.
+        matters: whether both are enough, and more than the form of a related effect may be off by.
     """
 
     torque: Mapping[str, float]
@@ -36,13 +37,15 @@ def relevance(
     Args:
         size: number of its coordinate, whose column says what a unit of it does.
         rows: around the base, whose variance is that of the sensors and of the edge of sticking.
-        relatives: numbers of the coordinates of named effects that it may look like. No law is quite the robot's, and
-            what does less than these may be off by only repairs their form.
+        relatives: numbers of the coordinates of effects in the base that it may look like. No law is quite the
+            robot's, and what does less than these may be off by only repairs their form.
     """
 
     def torques(number: int) -> tuple[np.ndarray, np.ndarray]:
         """What an effect does, ``[joint, window, row]``, and its torque ``[joint]`` [N m]."""
-        does = base.linear.base[number].astype(np.float64) * base.point[number]
+        entry = base.coordinates.entries[number]
+        neutral = parameter(entry.parameter).neutral or 0.0 if entry.kind == "value" else 0.0
+        does = base.linear.base[number].astype(np.float64) * (base.point[number] - neutral)
         square = np.square(does[..., reduction.kinds == 0]).mean((1, 2))
         return does, np.sqrt(square / PIECES) * reduction.unit
 

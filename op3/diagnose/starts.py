@@ -59,7 +59,7 @@ def fit_base(
     One servo may differ from the others as far as it likes while all is fitted. In the result it differs as servos of a
     sound robot do at most; what it differs by more is for the judge to name. Starts of every structure (form of the
     gear's law, form of friction's, commands before or after the next reading) settle on a third of the windows, the
-    best of these on all.
+    best of these on all; from there every other law of the gear is tried once more.
     """
     lengths = reduction.engine.lengths
     full = with_chain(with_setups(model, lengths))
@@ -83,9 +83,15 @@ def fit_base(
     forms = next(group for group in groups if _gear(group[0]) == _gear(first.coordinates.model))
     anew = (settle(thin, *at, settings, ELSEWHERE) for at in _elsewhere(first, forms, reduction.engine.period))
     _, best = _ranked(thin, chain([first], anew), settings)
-    progress(0.7)
+    progress(0.6)
     finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
     first, ranked = _ranked(reduction, finals, settings)
+    progress(0.75)
+    gears = (settle(thin, *at, settings, ELSEWHERE) for at in _other_gears(first))
+    _, best = _ranked(thin, gears, settings)
+    if best[0].gain > 0.0:
+        final = settle(reduction, best[0].coordinates, best[0].point, settings)
+        first, ranked = _ranked(reduction, iter([first, final]), settings)
     progress(0.9)
     others = tuple(replace(end, gain=end.gain - ranked[0].gain) for end in ranked[1:])
     own, point = with_own_spread(first.coordinates, first.point, first.deviations, settings)
@@ -113,21 +119,15 @@ def _ranked(reduction: Reduction, bases: Iterator[Baseline], settings: Settings)
 def _elsewhere(base: Baseline, forms: Sequence[RobotModel], period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
     """Where else a base may begin, as each has a basin of its own.
 
-    In every form of friction's laws, from where the base is and with friction as at first; with a gear that loses more
-    near rest, in every form of its law, as where it has ended at nothing more another form may have taken the place of
-    that loss; and with commands before the next reading where they come after it, and the other way round, whose
-    currents lag the more or the less, or a whole reading earlier or later: a reading shows the first of a command's
-    current, or nothing of it yet.
+    In every form of friction's laws, from where the base is and with friction as at first; and with commands before the
+    next reading where they come after it, and the other way round, whose currents lag the more or the less, or a whole
+    reading earlier or later: a reading shows the first of a command's current, or nothing of it yet.
     """
-    own, point, model = base.coordinates, base.point, base.coordinates.model
-    names = np.array([entry.parameter for entry in own.entries])
-    friction = [p.name for effect in model.effects if effect.stage == Stage.FRICTION for p in effect.parameters]
+    own, point = base.coordinates, base.point
+    as_at_first = _at_first(base, (Stage.FRICTION,))
     for form in forms:
         yield replace(own, model=form), point
-        yield replace(own, model=form), np.where(np.isin(names, friction), own.start, point)
-    for form in (model, *other_forms(model, lambda effect: effect.stage in GEAR)):
-        near = np.where(names == "near_rest_loss", CHAIN["near_rest_loss"].spread, point)
-        yield replace(own, model=form), near
+        yield replace(own, model=form), as_at_first
     at = {entry.parameter: i for i, entry in enumerate(own.entries) if entry.joints is None}
     late, lag = at.get("command_latency"), at.get("current_time_constant")
     if late is None or lag is None:
@@ -139,6 +139,30 @@ def _elsewhere(base: Baseline, forms: Sequence[RobotModel], period: float) -> It
         moved[[late, lag]] += later, -less
         if own.low[late] <= moved[late] <= own.high[late]:
             yield own, np.clip(moved, own.low, own.high)
+
+
+def _other_gears(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """Where a base may begin with another law of the gear, once all else is about right: a law that was left behind
+    with worse numbers may be the better one.
+
+    As it is; in every other form, from where the base is and with the gear's numbers as at first; and in every form
+    with a gear that loses more near rest, which another form may have taken the place of.
+    """
+    own, point = base.coordinates, base.point
+    yield own, point
+    near = np.array([entry.parameter == "near_rest_loss" for entry in own.entries])
+    more = np.where(near, CHAIN["near_rest_loss"].spread, point)
+    yield own, more
+    for form in other_forms(own.model, lambda effect: effect.stage in GEAR):
+        yield from ((replace(own, model=form), at) for at in (point, _at_first(base, GEAR), more))
+
+
+def _at_first(base: Baseline, stages: Sequence[Stage]) -> np.ndarray:
+    """A base's point with the numbers of some stages' effects where the fit began."""
+    effects = [effect for effect in base.coordinates.model.effects if effect.stage in stages]
+    names = {known.name for effect in effects for known in effect.parameters}
+    mine = np.array([entry.parameter in names for entry in base.coordinates.entries])
+    return np.where(mine, base.coordinates.start, base.point)
 
 
 def search(

@@ -282,6 +282,8 @@ def test_what_all_joints_share_is_told_though_the_base_takes_its_place():
     assert [one.candidate.place for one in further.named] == [("load_friction", None)]
     assert further.base.point[-1] == pytest.approx(0.1, rel=0.3)
     assert further.named[0].log_odds > 20
+    dropped = search_._less(further, (), 0)
+    assert ("load_friction", None) in {one.place for one in search_._candidates(dropped)}
 
 
 def test_in_a_bad_joint_effects_are_proposed_by_what_they_predict(truth, monkeypatch):
