@@ -67,7 +67,7 @@ def test_a_pose_that_is_measured_ends_the_run(tmp_path):
 
     outcome = rig.run([GainRamp(), Pushed(pose("stand", "op3"), 0.1, duration=2.0)])
     assert outcome.code == ExitCode.SELF_COLLISION
-    assert outcome.reason.startswith("at the measured angles parts of the robot collide: ")
+    assert outcome.reason.startswith("parts of the robot collide at the measured angles: ")
     assert " mm into " in outcome.reason
     assert outcome.release.ok
 
@@ -77,7 +77,7 @@ def test_a_pose_that_is_commanded_ends_the_run(tmp_path):
     rig = make_rig(tmp_path)
     outcome = rig.run([GainRamp(), HoldPose(crossed(0.2), duration=1.0)])
     assert outcome.code == ExitCode.SELF_COLLISION
-    assert outcome.reason.startswith("at the commanded angles parts of the robot collide: ")
+    assert outcome.reason.startswith("parts of the robot collide at the commanded angles: ")
     asked = round(6.0 * 0.2 / 0.00269)  # counts that the target would have been worth
     assert max(abs(values["l_hip_roll"]) for _, values in rig.written("goal_current")) < asked / 2
     assert outcome.release.ok

@@ -118,7 +118,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         (["algorithm._target_=op3.train.Sarsa"], "algorithm._target_: op3.train has no 'Sarsa'"),
         (["+algorithm.gama=0.9"], "gama is not a field"),
         (["env=gym"], "unknown backend 'gym'"),
-        (["env=composer", "environments=2"], "use environments=1"),
+        (["env=composer", "environments=2"], "set environments=1"),
         (["task.duration=-1"], "duration must be above 0"),
     ],
 )

@@ -170,7 +170,7 @@ def test_ranges_place_values_intervals_and_nominals():
     start, shown, _, other, _ = ranges_figure(models(), ["backward_efficiency"]).data
     assert [*start.x, *shown.x, *other.x] == pytest.approx([0.5, 0.25])
     assert [*shown.error_x.arrayminus, *shown.error_x.array] == pytest.approx([0.125, 0.125])
-    assert shown.text[0].startswith("0.7 (0.65 to 0.75)")
+    assert shown.text[0].startswith("0.70 (0.65 to 0.75)")
 
 
 def test_ranges_refuse_a_parameter_of_no_model():

@@ -5,10 +5,10 @@ from __future__ import annotations
 from importlib import import_module
 
 from op3.rollout.health.finding import ERROR, WARNING, LogFinding, merge_findings
-from op3.rollout.health.view import CHECKS, examine
+from op3.rollout.health.log_view import CHECKS, examine
 
 # each enters its checks into the registry; of several errors the first is raised, so causes come before what they bring
-_ORDER = "clock sidecar numbers commands velocity stops drives inertial_sensor ranges"
+_ORDER = "clock sidecar numbers tracking_faults velocity stops drives inertial_sensor ranges"
 for _name in _ORDER.split():
     import_module(f"{__name__}.{_name}")
 

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from op3.rollout.health.log_view import (
+    COMMAND,
+    CURRENT,
+    FORCE,
+    ORIENTATION,
+    POSITION,
+    RATE,
+    VELOCITY,
+    Found,
+    View,
+    check,
+)
 from op3.rollout.health.match import delayed, runs
-from op3.rollout.health.view import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, VELOCITY, Found, View, check
 from op3.rollout.schema import CHANNELS, Key
 from op3.rollout.units import UNITS
 

@@ -6,8 +6,19 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import detrend
 
+from op3.rollout.health.log_view import (
+    COMMAND,
+    CURRENT,
+    FORCE,
+    ORIENTATION,
+    POSITION,
+    RATE,
+    VELOCITY,
+    Found,
+    View,
+    check,
+)
 from op3.rollout.health.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
-from op3.rollout.health.view import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, VELOCITY, Found, View, check
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 

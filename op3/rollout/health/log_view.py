@@ -139,7 +139,7 @@ Found = Iterator[LogFinding]
 Find = Callable[[View], Found]
 
 
-class Check(NamedTuple):
+class LogCheck(NamedTuple):
     """A check: what it finds, with its line in the documentation as docstring; channels and rows without which it has
     nothing to say; and earlier checks that explain what it would find: it says nothing where one of them did."""
 
@@ -149,15 +149,15 @@ class Check(NamedTuple):
     unless: tuple[str, ...]
 
 
-CHECKS: dict[str, Check] = {}
+CHECKS: dict[str, LogCheck] = {}
 """Every check by its name, in the order in which they are made."""
 
 
 def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[Find], Find]:
-    """Enter a check into the registry; see `Check`, and the names in `unless` are separated by commas."""
+    """Enter a check into the registry; see `LogCheck`, and the names in `unless` are separated by commas."""
 
     def enter(find: Find) -> Find:
-        CHECKS[name] = Check(find, needs, rows, tuple(unless.split(", ")))
+        CHECKS[name] = LogCheck(find, needs, rows, tuple(unless.split(", ")))
         return find
 
     return enter
