@@ -10,7 +10,6 @@ op3 collect source=emulated policy=assets/policies/balance task=balance_eval rep
 op3 collect -m world=eta_060,eta_070,eta_080
 op3 collect robot=path/to/my_robot.yaml source=model motion=multisine mount=stand
 
-
 The same command with the same hydra.run.dir continues an interrupted recording.
 """
 

@@ -239,8 +239,8 @@ class Search:
         return np.array([wild[one].sum() > 0.5 * total[one].sum() for one in members])
 
     def _name(self, stage: NamingStage, proposals: Sequence[Proposal]) -> NamingStage | None:
-        """The proposals refitted with the base, and one of them named: of those that predict runs that were left out as
-        well as the best, which gains on the same, the most evident, which has the fewest numbers to choose. None where
+        """The proposals refitted with the base, and one of them named: the one with the most evidence, which counts
+        against needless numbers, among those that predict the runs that were left out as well as the best. None where
         none predicts them better beyond chance, or all do too little."""
         if not proposals:
             return None
@@ -386,10 +386,12 @@ def _alike(one: HeldOutScore, other: HeldOutScore, without: HeldOutScore) -> boo
 
 def _of_gear(effect: type[Effect], base: Baseline) -> list[Coordinate]:
     """The base's shared numbers of the gear's losses, if an effect is another law of these."""
+    if effect.stage not in GEAR:
+        return []
     laws = [one for one in base.coordinates.model.effects if one.stage in GEAR and effect.related({one.name})]
     names = {known.name for law in laws for known in law.parameters if known.neutral is not None}
     shared = [entry for entry in base.coordinates.entries if entry.joints is None and entry.kind == "value"]
-    return [entry for entry in shared if entry.parameter in names and effect.stage in GEAR]
+    return [entry for entry in shared if entry.parameter in names]
 
 
 def _within(own: Sequence[Coordinate]) -> float:
