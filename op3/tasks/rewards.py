@@ -254,12 +254,13 @@ def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) ->
 
     Args:
         velocity: desired, forwards in the world [m/s].
-        name: of a command whose direction and speed are desired instead.
+        name: of a command whose direction and speed are desired instead. Whatever its speed, following it earns
+            `velocity`: in m/s slow commands, backwards and sideways, would hardly count.
     """
     if name is None:
         return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
     along, speed = state.along(name)
-    return along.clamp(-speed, speed)
+    return velocity * (along / speed.clamp(min=1e-9)).clamp(-1.0, 1.0)
 
 
 class TrackVelocity:

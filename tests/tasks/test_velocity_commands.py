@@ -42,3 +42,19 @@ def test_shares_that_are_no_probabilities_are_refused(shares):
     """Above 1 together, or one below 0, though their sum is not."""
     with pytest.raises(ValueError, match=r"single_share must be at least 0 and at most 1 together, got \("):
         Velocity(1, 10.0, **RANGES, **shares)
+
+
+def test_each_episode_holds_its_commands_for_its_own_time():
+    """Between the least and the greatest time, evenly in the logarithm; a single time is every episode's."""
+    command = Velocity(400, 100.0, **RANGES, interval=[2.0, 10.0])
+    rows = np.arange(400)
+    command.begin(Episodes(rows, rows, np.zeros((400, 1)), np.zeros((400, 1))))
+    ticks = torch.arange(0.0, 100.0, 0.1)
+    drawn = torch.stack([command.at(torch.full((400,), time)) for time in ticks])
+    held = 100.0 / ((drawn[1:] != drawn[:-1]).any(2).sum(0) + 1)
+    assert held.min() > 1.8
+    assert held.max() < 11.0
+    assert held.log().mean() == pytest.approx(np.log(2.0 * 10.0) / 2, abs=0.1)
+    for wrong in ([3.0, 2.0], 0.0, [1.0, 2.0, 3.0]):
+        with pytest.raises(ValueError, match="interval must be above 0 s, or a least and a greatest time"):
+            Velocity(1, 10.0, **RANGES, interval=wrong)
