@@ -251,12 +251,7 @@ class Search:
         passed = [one for one in judged if self._passes(one.named)]
         if not passed:
             return None
-        leader = max(passed, key=lambda one: one.named.gain.mean)
-        alike = [one for one in passed if one is leader or _alike(leader.score, one.score, without)]
-        level = [one for one in alike if not self.good(Gain.of(leader.score, one.score))]
-        best = max(level, key=lambda one: one.named.log_odds)
-        behind = [Rival(one.named.candidate, Gain.of(best.score, one.score)) for one in level if one is not best]
-        rivals = tuple(rival for rival in behind if not self.good(rival.behind))
+        best, rivals = chosen(passed, without, self.settings.threshold)
         return self.around(stage, best.base, (*stage.named, replace(best.named, rivals=rivals)))
 
     def _passes(self, one: Named) -> bool:
@@ -376,6 +371,25 @@ class Search:
         """The stage with gains as they are beside all that is named."""
         named = tuple(replace(one, gain=gain) for one, gain in zip(stage.named, gains, strict=True))
         return replace(stage, named=named)
+
+
+def chosen(passed: Sequence[Judged], without: HeldOutScore, threshold: float) -> tuple[Judged, tuple[Rival, ...]]:
+    """Which of several refits is named, and the rivals that are not distinguished from it.
+
+    Held-out runs decide where they can. Among the refits that gain in the same runs and joints as the one with the
+    largest gain, and are not worse beyond chance, the evidence decides: it counts against needless numbers.
+
+    Args:
+        passed: refits that predict held-out runs better than the model without them.
+        without: held-out scores of that model.
+        threshold: standard errors beyond which one refit is better than another.
+    """
+    leader = max(passed, key=lambda one: one.named.gain.mean)
+    alike = [one for one in passed if one is leader or _alike(leader.score, one.score, without)]
+    level = [one for one in alike if Gain.of(leader.score, one.score).z < threshold]
+    best = max(level, key=lambda one: one.named.log_odds)
+    behind = [Rival(one.named.candidate, Gain.of(best.score, one.score)) for one in level if one is not best]
+    return best, tuple(rival for rival in behind if rival.behind.z < threshold)
 
 
 def _alike(one: HeldOutScore, other: HeldOutScore, without: HeldOutScore) -> bool:

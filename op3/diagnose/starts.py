@@ -87,11 +87,7 @@ def fit_base(
     finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
     first, ranked = _ranked(reduction, finals, settings)
     progress(0.75)
-    gears = (settle(thin, *at, settings, ELSEWHERE) for at in _other_gears(first))
-    _, best = _ranked(thin, gears, settings)
-    if best[0].gain > 0.0:
-        final = settle(reduction, best[0].coordinates, best[0].point, settings)
-        first, ranked = _ranked(reduction, iter([first, final]), settings)
+    first, ranked = with_best_gear(reduction, thin, first, ranked, settings)
     progress(0.9)
     others = tuple(replace(end, gain=end.gain - ranked[0].gain) for end in ranked[1:])
     own, point = with_own_spread(first.coordinates, first.point, first.deviations, settings)
@@ -139,6 +135,19 @@ def _elsewhere(base: Baseline, forms: Sequence[RobotModel], period: float) -> It
         moved[[late, lag]] += later, -less
         if own.low[late] <= moved[late] <= own.high[late]:
             yield own, np.clip(moved, own.low, own.high)
+
+
+def with_best_gear(
+    reduction: Reduction, thin: Reduction, base: Baseline, ends: list[End], settings: Settings
+) -> tuple[Baseline, list[End]]:
+    """The base with the law of the gear that explains the logs best once all else is fitted, and where other starts
+    ended; the same base where no other law is better."""
+    anew = (settle(thin, *at, settings, ELSEWHERE) for at in _other_gears(base))
+    _, best = _ranked(thin, anew, settings)
+    if best[0].gain <= 0.0:
+        return base, ends
+    final = settle(reduction, best[0].coordinates, best[0].point, settings)
+    return _ranked(reduction, iter([base, final]), settings)
 
 
 def _other_gears(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:

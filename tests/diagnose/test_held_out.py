@@ -7,7 +7,7 @@ from scipy import stats
 from op3.diagnose import WindowResiduals
 from op3.diagnose.base import settle
 from op3.diagnose.coordinates import base_coordinates, with_chain
-from op3.diagnose.held_out import Gain, HeldOut, HeldOutScore, log_density
+from op3.diagnose.held_out import DRAWS, Gain, HeldOut, HeldOutScore, log_density
 from op3.diagnose.reduction import Reduction
 from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
@@ -76,3 +76,19 @@ def test_of_few_runs_blocks_of_time_are_left_out(reduction):
     held = HeldOut(Reduction(engine))
     assert held.in_time
     assert len(np.unique(held.runs)) == 8
+
+
+def test_predictions_are_averaged_over_numbers_drawn_from_their_posterior(reduction, monkeypatch):
+    """Densities, not their logarithms: of four sets of numbers the unlikely ones cost at most log 4. The sets other
+    than the mean lie as far from it as their posterior says: the mean square of whitened steps is their number."""
+    coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
+    base = settle(reduction, coordinates, coordinates.start, steps=0)
+    rows, held, at, drawn = reduction.rows(base.linear, ()), HeldOut(reduction), reduction.at, []
+    monkeypatch.setattr(reduction, "at", lambda own, points: drawn.append(points) or at(own, points))
+    densities = iter(np.tile([-1.0, -90.0, -90.0, -90.0], 10_000).tolist())
+    monkeypatch.setattr("op3.diagnose.held_out.log_density", lambda *args: next(densities))
+    assert held.score(base, rows).density == pytest.approx(-1.0 - np.log(4))
+    points = drawn[0].reshape(-1, DRAWS + 1, len(base.point))
+    free = (points[:, 0] > coordinates.low + 1e-3) & (points[:, 0] < coordinates.high - 1e-3)
+    steps = (points[:, 1:] - points[:, :1]) / base.deviations
+    assert 0.3 < np.square(steps[np.repeat(free[:, None], DRAWS, 1)]).mean() < 3.0
