@@ -239,6 +239,10 @@ class ServoMake(Record):
         """Torque per current at the output [N m/A]."""
         return self.motor.gear_ratio.si * self.motor.torque_constant.si
 
+    def stall_torque(self, voltage: float | None = None) -> float:
+        """Torque at standstill under full duty [N m], at a supply voltage [V] or the nominal one."""
+        return self.output_constant * (voltage or self.supply.si) / self.motor.terminal_resistance.si
+
     def stands(self, voltage: float) -> bool:
         """Whether a supply voltage [V] is within its limits."""
         return self.limits.low_voltage.si <= voltage <= self.limits.high_voltage.si

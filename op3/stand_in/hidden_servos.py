@@ -204,7 +204,7 @@ class HiddenServos:
 
 def _stall(make: ServoMake) -> float:
     """Torque of the stalled motor at its usual supply, without losses [N m]."""
-    return make.output_constant * make.supply.si / make.motor.terminal_resistance.si
+    return make.stall_torque()
 
 
 Writer = Callable[[Records, Hidden, Array], dict[str, Array | float]]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from op3.rollout.health.log_view import FORCE, ORIENTATION, POSITION, RATE, VELOCITY, Found, View, check
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import delays, longest_run, unexplained
+from op3.rollout.keys import FORCE, ORIENTATION, POSITION, RATE, VELOCITY
 from op3.rollout.validate import GAP, holes
 
 _TOLERANCE = 0.06  # largest relative difference between the clock and the metadata's rate

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from op3.rollout.health.log_view import CURRENT, Found, View, check
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import as_if
+from op3.rollout.keys import CURRENT
 from op3.rollout.schema import CHANNELS
 
 _ZERO = 0.1  # no current sensor is so far off at nothing [A], nor by 2 % of what it reads; 0.03 in sound logs

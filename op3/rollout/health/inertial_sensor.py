@@ -9,9 +9,10 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from op3.rollout.health.log_view import FORCE, ORIENTATION, RATE, Found, View, check
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import WINDOW, as_if, match, no_sensor
 from op3.rollout.health.stops import held, turned_by_gyroscope
+from op3.rollout.keys import FORCE, ORIENTATION, RATE
 from op3.rollout.units import likely_unit
 
 _STANDARD = 9.80665

@@ -12,16 +12,11 @@ import numpy as np
 from op3.robot.servo_make import ServoMake, find_servo
 from op3.rollout.health.finding import ERROR, WARNING, LogFinding
 from op3.rollout.health.match import Match, integral, match, step, windows
+from op3.rollout.keys import COMMAND, CURRENT, DUTY, FIRMWARE_GAIN, P_GAIN, POSITION, SWITCH, VELOCITY
 from op3.rollout.schema import CHANNELS, Key, column_names
 
 if TYPE_CHECKING:
     from op3.rollout.rollout import Rollout
-
-POSITION, COMMAND = ("joint", "position"), ("command", "position")
-VELOCITY, CURRENT, DUTY = ("joint", "velocity"), ("joint", "current"), ("joint", "duty")
-VOLTAGE, TEMPERATURE = ("joint", "voltage"), ("joint", "temperature")
-P_GAIN, D_GAIN, FIRMWARE_GAIN = ("command", "p_gain"), ("command", "d_gain"), ("command", "firmware_gain")
-ORIENTATION, RATE, FORCE = ("imu", "orientation"), ("imu", "angular_velocity"), ("imu", "linear_acceleration")
 
 Where = str | tuple[Key, SupportsInt]
 
@@ -34,7 +29,7 @@ class View:
         self.time, self.position, self.command = log.array("time")[:, 0], log.array(POSITION), log.array(COMMAND)
         self.error = self.position - self.command
         """How far joints are off their targets [time, joint]."""
-        switch, gain = self.get(("command", "torque_enable")), self.get(P_GAIN)
+        switch, gain = self.get(SWITCH), self.get(P_GAIN)
         self.driven = np.ones(self.command.shape, bool) if switch is None else switch == 1
         self.driven &= True if gain is None else gain != 0
         """Whether the servo drives, towards its target [time, joint]."""

@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from op3.rollout.health.log_view import (
-    COMMAND,
-    CURRENT,
-    FORCE,
-    ORIENTATION,
-    POSITION,
-    RATE,
-    VELOCITY,
-    Found,
-    View,
-    check,
-)
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import delayed, runs
+from op3.rollout.keys import COMMAND, CURRENT, FORCE, LOAD, ORIENTATION, POSITION, RATE, TEMPERATURE, VELOCITY, VOLTAGE
 from op3.rollout.schema import CHANNELS, Key
 from op3.rollout.units import UNITS
 
-_LOAD, _VOLTAGE, _TEMPERATURE = ("joint", "load"), ("joint", "voltage"), ("joint", "temperature")
-_LEAPS: dict[Key, float] = {POSITION: 0.06, COMMAND: 0.1, VELOCITY: 5.0, CURRENT: 5.0, _VOLTAGE: 2.0, _TEMPERATURE: 5.0}
+_LEAPS: dict[Key, float] = {POSITION: 0.06, COMMAND: 0.1, VELOCITY: 5.0, CURRENT: 5.0, VOLTAGE: 2.0, TEMPERATURE: 5.0}
 _LEAPS |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
 """A single reading leaps at least so far, in the unit of its channel."""
 
@@ -86,7 +75,7 @@ def not_measured(view: View) -> Found:
 @check("register without its sign")
 def unsigned(view: View) -> Found:
     """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
-    for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, _LOAD):
+    for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, LOAD):
         size = float(view.steps(key)[index]) or _counted(column, CHANNELS[key].quantity.unit)
         if not size or column.max() < 2**10 * size:
             continue

@@ -6,8 +6,9 @@ import numpy as np
 
 from op3.robot.servo_make import load_servo, servo_files
 from op3.rollout.errors import LogError, rename
-from op3.rollout.health.log_view import D_GAIN, P_GAIN, TEMPERATURE, VOLTAGE, Found, View, check
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import fitted
+from op3.rollout.keys import D_GAIN, P_GAIN, TEMPERATURE, VOLTAGE
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}

@@ -6,23 +6,23 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import detrend
 
-from op3.rollout.health.log_view import (
+from op3.rollout.health.log_view import Found, View, check
+from op3.rollout.health.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
+from op3.rollout.keys import (
     COMMAND,
     CURRENT,
     FORCE,
     ORIENTATION,
     POSITION,
     RATE,
+    SWITCH,
+    TEMPERATURE,
     VELOCITY,
-    Found,
-    View,
-    check,
+    VOLTAGE,
 )
-from op3.rollout.health.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 
-_VOLTAGE, _TEMPERATURE = ("joint", "voltage"), ("joint", "temperature")
 _SHAKEN = 0.1  # accelerations of a trunk that is held spread by no more [m/s2]; 0.08 in 179 logs, and 0.44 on the feet
 _SETTLES = 0.5  # a servo has reached a target that stands [s]
 _UNUSED = "the channel is not used"
@@ -77,7 +77,7 @@ def stands_still(view: View) -> Found:
         yield view.found((COMMAND, joint), problem, remedy, first, last)
     for _, joint, velocity in view.columns(VELOCITY):
         yield from _velocity_stands(view, joint, velocity, rows)
-    switch = view.get(("command", "torque_enable"))
+    switch = view.get(SWITCH)
     for joint, (position, target) in enumerate(zip(view.position.T, view.command.T, strict=True)):
         yield from _position_stands(view, joint, position)
         if np.ptp(target) == 0 and view.driven[:, joint].all() and np.ptp(position) > GIVES:
@@ -173,7 +173,7 @@ def _sensors_stand(view: View, rows: int) -> Found:
     gyroscope, angles = turned_by_gyroscope(view), view.get(ORIENTATION)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
     turns = bool((np.ptp(gyroscope, axis=0) > 0.05).any()) and not held(view)
-    for key in (CURRENT, _VOLTAGE, _TEMPERATURE, ORIENTATION, RATE, FORCE):
+    for key in (CURRENT, VOLTAGE, TEMPERATURE, ORIENTATION, RATE, FORCE):
         values, trunk = view.get(key), key[0] == "imu"
         for index, part in enumerate([] if values is None else [values] if trunk else values.T[:, :, None]):
             same, zero = (np.diff(part, axis=0) == 0).all(1), not part[0].any()
@@ -194,7 +194,7 @@ def _sensors_stand(view: View, rows: int) -> Found:
             limited = key == CURRENT and (size == most or (size == 0 and not driven))
             same[run] = False
             stops = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
-            if length > 2 * rows and moved and not limited and stops and key not in (_VOLTAGE, _TEMPERATURE):
+            if length > 2 * rows and moved and not limited and stops and key not in (VOLTAGE, TEMPERATURE):
                 problem = f"{name} keeps its numbers for {length} rows, while the robot moves"
                 for column in range(part.shape[1]):
                     yield view.found((key, index + column), problem, _UNUSED, first, first + length, aside=True)

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 
-from op3.rollout.health.log_view import COMMAND, POSITION, Found, View, check
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import SURE, delays, match
+from op3.rollout.keys import COMMAND, POSITION
 from op3.rollout.metadata import HOLDING
 from op3.rollout.units import UNITS, likely_unit
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from op3.rollout.health.log_view import POSITION, VELOCITY, Found, View, check
+from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import SURE, WINDOW, Match, as_if, delays, fitted, integral, longest_run, match, no_sensor
+from op3.rollout.keys import POSITION, VELOCITY
 from op3.rollout.units import likely_unit
 
 # Of 614 sound logs (whole robots with hidden effects, policies on an emulated one, five kinds of real servos), and of
