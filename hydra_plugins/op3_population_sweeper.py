@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from hydra.errors import CompactHydraException
 from hydra.plugins.sweeper import Sweeper
 
 
@@ -18,5 +19,8 @@ class PopulationSweeper(Sweeper):
         self._sweep = PopulationSweep(**hydra)
 
     def sweep(self, arguments: list[str]) -> Any:
-        """Run all cells; return the job that reported each."""
-        return self._sweep.run(arguments)
+        """Run all cells; return the job that reported each. A wrong setting is printed without a stack trace."""
+        try:
+            return self._sweep.run(arguments)
+        except ValueError as error:
+            raise CompactHydraException(str(error)) from error

@@ -25,7 +25,7 @@ from op3.apps.support import library_motion
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
-from op3.identify.study import run_study
+from op3.identify.study import StudySettings, run_study
 from op3.motions import Motion
 from op3.replay import simulate_motion
 from op3.report import Page, run_provenance, write_result
@@ -84,10 +84,8 @@ def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, 
     problem = Identification(base, kept, [], list(ranges), joints=load_robot("op3").controlled, loss=loss)
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in ranges.items()})
     nominal = {PREFIX + name: p.nominal for name, p in ranges.items()}
-    study = run_study(
-        problem.evaluate, space, sampler="random", n_trials=cfg.trials, population=cfg.trials, nominal=nominal,
-        seed=number, progress=False,
-    )  # fmt: skip
+    how = StudySettings(space, "random", n_trials=cfg.trials, population=cfg.trials, nominal=nominal, seed=number)
+    study = run_study(problem.evaluate, how, progress=False)
     fit = problem.finish(study, **plain(cfg.refine))
     assert fit.identifiability is not None
     found = {name: fit.model.estimates[name] for name in ranges}

@@ -26,7 +26,7 @@ from op3.apps.job import one_sentence
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.loss import TrajectoryLoss
 from op3.identify.search_space import parse_search_space
-from op3.identify.study import run_study
+from op3.identify.study import StudySettings, run_study
 from op3.report import Page, run_provenance, write_result
 from op3.robot import load_robot
 from op3.rollout import Rollout, read_logs
@@ -199,10 +199,8 @@ def fit_ours(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
     space = parse_search_space({PREFIX + name: f"interval({p.low}, {p.high})" for name, p in known.items()})
     nominal = {PREFIX + name: p.nominal for name, p in known.items()}
     began = time.monotonic()
-    study = run_study(
-        problem.evaluate, space, sampler="random", n_trials=cfg.trials, population=cfg.trials, nominal=nominal,
-        seed=cfg.seed, progress=False,
-    )  # fmt: skip
+    how = StudySettings(space, "random", n_trials=cfg.trials, population=cfg.trials, nominal=nominal, seed=cfg.seed)
+    study = run_study(problem.evaluate, how, progress=False)
     fit = problem.finish(study, **plain(cfg.refine))
     assert fit.heldout is not None
     return {

@@ -26,6 +26,7 @@ from op3.apps.support import focus_joints, logs_where
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import chosen_model
+from op3.identify.study import run_study
 from op3.identify.study_settings import read_settings, search_space_of
 from op3.identify.sweeper import sweep_or_report
 from op3.report.identification_page import report_identification
@@ -149,7 +150,7 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
         storage=str(folder / f"study_without_{name}.journal"),
         study_name=f"without_{name}",
     )
-    study = settings.run(identification.evaluate, identity=identification.identity)
+    study = run_study(identification.evaluate, settings, identity=identification.identity)
     return identification.finish(study, **cfg.refine)
 
 

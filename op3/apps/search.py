@@ -24,12 +24,14 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
     Raises:
         ValueError: if the command has nothing to optimise, or no run succeeded.
     """
+    from op3.identify.study import TrialOutcome
     from op3.identify.sweeper import sweep_or_report
 
     folder = Path(HydraConfig.get().runtime.output_dir)
 
-    def evaluate(population: list[dict[str, Any]]) -> list[float]:
-        return [_trial(main, cfg, values, folder / f"{number}") for number, values in enumerate(population)]
+    def evaluate(population: list[dict[str, Any]]) -> list[TrialOutcome]:
+        found = [_trial(main, cfg, values, folder / f"{number}") for number, values in enumerate(population)]
+        return [TrialOutcome((value,)) for value in found]
 
     found = sweep_or_report(cfg, evaluate)
     if OmegaConf.select(cfg, "population") is not None:

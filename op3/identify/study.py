@@ -9,28 +9,26 @@ Independent of Hydra; `op3.identify.sweeper` connects the two.
 """
 
 import copy
-import json
 import logging
 import math
 import re
 import secrets
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseGASampler
-from optuna.storages import BaseStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, Trial, TrialState
 from tqdm import tqdm
 
+from op3.common.settings import Count, Some, Whole, settings
 from op3.identify.samplers import SamplerFactory, make_sampler_factory
 from op3.identify.search_space import SearchSpace, StudyError, check_nominal, search_space_to_json
 from op3.identify.storage import open_storage
@@ -62,28 +60,70 @@ class TrialOutcome:
     error: str | None = None
 
 
-Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | TrialOutcome | None]]
-"""Evaluates a population: parameters of each trial -> result of each trial, in the same order."""
+Evaluate = Callable[[list[dict[str, Any]]], Sequence[TrialOutcome]]
+"""Evaluates a population: parameters of each trial -> outcome of each trial, in the same order."""
+
+
+def _refused(field: str, wanted: str, given: Any) -> StudyError:
+    return StudyError(f"hydra.sweeper: {field} must be {wanted}, got {given!r}.")
+
+
+@settings("hydra.sweeper", _refused)
+class StudySettings:
+    """What a study is of, and how it is run.
+
+    Attributes:
+        search_space: the parameters and their ranges, see `op3.identify.search_space`.
+        sampler: name of the sampler, see `op3.identify.samplers`.
+        directions: of each objective.
+        storage: see `op3.identify.storage`; None keeps the study in memory.
+        n_trials: finished trials, complete or failed, of the whole study; each further worker may add two populations.
+        population: trials that are evaluated together, by one job.
+        parallel_populations: jobs side by side; as many populations are asked at once.
+        nominal: parameters of the first trial, the baseline; None starts without one.
+        starts: trials after the baseline that the experiment itself proposes.
+        seed: of the study; None keeps the stored seed, or draws one for a new study.
+        worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
+    """
+
+    search_space: SearchSpace
+    sampler: Any = "tpe"
+    directions: Some[Literal["minimize", "maximize"]] = ("minimize",)
+    storage: str | Path | None = None
+    study_name: str = "study"
+    n_trials: Count = 256
+    population: Count = 64
+    parallel_populations: Count = 1
+    nominal: dict[str, Any] | None = None
+    starts: Whole = 0
+    seed: Whole | None = None
+    worker: Whole = 0
+
+    @property
+    def asked(self) -> int:
+        """Trials that are asked at once."""
+        return self.population * self.parallel_populations
+
+    def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+        """Cut what was asked into the populations of single jobs."""
+        return [population[i : i + self.population] for i in range(0, len(population), self.population)]
+
+    def samplers(self) -> SamplerFactory:
+        """The sampler of each population; a StudyError where it cannot be used."""
+        return make_sampler_factory(
+            self.sampler, population=self.asked, directions=len(self.directions), nominal=self.nominal
+        )
 
 
 def run_study(
     evaluate: Evaluate,
-    search_space: SearchSpace,
-    *,
-    sampler: str | Mapping[str, Any] = "tpe",
-    directions: Sequence[str] = ("minimize",),
-    storage: str | Path | BaseStorage | None = None,
-    study_name: str = "study",
-    n_trials: int = 256,
-    population: int = 64,
-    nominal: Mapping[str, Any] | None = None,
+    how: StudySettings,
     starts: Sequence[Mapping[str, Any]] = (),
     identity: Mapping[str, str] | None = None,
-    seed: int | None = None,
-    worker: int = 0,
+    *,
     progress: bool = True,
 ) -> optuna.Study:
-    """Run a study, or continue a stored one, until it has `n_trials` finished trials.
+    """Run a study, or continue a stored one, until it has its finished trials.
 
     The same seed gives the same trials on the same machine, also if the study is interrupted and resumed in between.
     Several processes may run the same call on the same storage at once, each as another worker: they share the trials.
@@ -91,19 +131,10 @@ def run_study(
 
     Args:
         evaluate: evaluates a population; if it raises, the population is halved until the failing trial is isolated.
-        search_space: the parameters and their ranges, see `op3.identify.search_space`.
-        sampler: name of the sampler, see `op3.identify.samplers`.
-        directions: `minimize` or `maximize` for each objective.
-        storage: see `op3.identify.storage`; None keeps the study in memory.
-        n_trials: finished trials, complete or failed, of the whole study; each further worker may add two
-            populations.
-        nominal: parameters of the first trial, the baseline; None starts without one.
-        starts: parameters of the trials that follow it, before the sampler proposes any; a resumed study needs the
+        starts: parameters of the trials after the baseline, before the sampler proposes any; a resumed study needs the
             same.
         identity: everything else that the values depend on, such as logs and model, each as a text or a digest;
             a stored study with another identity is refused. None checks nothing.
-        seed: seed of the study; None keeps the stored seed, or draws one for a new study.
-        worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
         progress: show trials, best value, rate and time left.
 
     Raises:
@@ -111,23 +142,18 @@ def run_study(
             match the population, if another process evaluates the same points, or if no trial completes and
             `FUTILE_POPULATIONS` in a row raise.
     """
-    if population < 1 or n_trials < 1:
-        raise StudyError(f"population={population} and n_trials={n_trials} must both be at least 1.")
-    baseline = None if nominal is None else check_nominal(search_space, nominal)
-    given = [] if baseline is None else [({"nominal": True}, baseline)]
-    given += [({"start": number}, check_nominal(search_space, values)) for number, values in enumerate(starts)]
-    factory = make_sampler_factory(sampler, population=population, directions=len(directions), nominal=baseline)
-    study = _open_study(storage, study_name, directions, search_space, seed, identity)
-    session = _Session(study, search_space, factory, worker)
-    if worker == 0:
+    given = [] if how.nominal is None else [({"nominal": True}, check_nominal(how.search_space, how.nominal))]
+    given += [({"start": number}, check_nominal(how.search_space, values)) for number, values in enumerate(starts)]
+    session = _Session(how, _open_study(how, identity))
+    if how.worker == 0:
         session.enqueue(given)
     futile, terminal = 0, sys.stderr.isatty()
     with tqdm(
-        total=n_trials, initial=min(session.finished, n_trials), unit="trial", disable=not progress, dynamic_ncols=True,
-        mininterval=0.1 if terminal else LINE_SECONDS,
+        total=how.n_trials, initial=min(session.finished, how.n_trials), unit="trial", disable=not progress,
+        dynamic_ncols=True, mininterval=0.1 if terminal else LINE_SECONDS,
     ) as shown:  # fmt: skip
-        while session.finished < n_trials:
-            trials = session.ask(min(n_trials - session.finished, population))
+        while session.finished < how.n_trials:
+            trials = session.ask(min(how.n_trials - session.finished, how.asked))
             outcomes = evaluate_population(evaluate, [dict(trial.params) for trial in trials])
             session.tell(trials, outcomes)
             shown.set_postfix(session.best(), refresh=False)
@@ -139,7 +165,7 @@ def run_study(
                     f"No trial has completed and the last {futile} populations all raised; the last error "
                     f"is: {outcomes[-1].error} Fix it and start a new study (another study_name or storage)."
                 )
-    return study
+    return session.study
 
 
 def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[TrialOutcome]:
@@ -157,37 +183,19 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
         message = f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno} in {frame.name})"
         log.warning("The trial %s raised %s", population[0], message)
         return [TrialOutcome(None, error=message)]
-    if len(results) != len(population):
-        raise StudyError(
-            f"evaluate returned {len(results)} results for a population of {len(population)}: "
-            "return one result per trial, in order, None where it failed."
-        )
-    return [as_outcome(result) for result in results]
-
-
-def as_outcome(result: Any) -> TrialOutcome:
-    """Read one result of an evaluation: a number, several numbers, None, or an `TrialOutcome`."""
-    if result is None or isinstance(result, TrialOutcome):
-        return result or TrialOutcome(None)
-    try:
-        return TrialOutcome(tuple(float(value) for value in np.atleast_1d(result)))
-    except (TypeError, ValueError) as error:
-        raise StudyError(
-            f"evaluate returned {result!r} for a trial: return a number, a tuple of numbers, None or a TrialOutcome."
-        ) from error
+    return list(results)
 
 
 class _Session:
     """One process's view of a study: the stored one, and the copy in memory that the sampler sees."""
 
-    def __init__(self, study: optuna.Study, search_space: SearchSpace, factory: SamplerFactory, worker: int) -> None:
+    def __init__(self, how: StudySettings, study: optuna.Study) -> None:
         self.study = study
-        self._factory, self._worker = factory, worker
-        self._search_space: dict[str, BaseDistribution] = {**search_space}
-        self._name = f"{worker}:{secrets.token_hex(4)}"
+        self._factory, self._worker = how.samplers(), how.worker
+        self._search_space: dict[str, BaseDistribution] = {**how.search_space}
+        self._name = f"{how.worker}:{secrets.token_hex(4)}"
         self._pulled: set[int] = set()
-        with _quiet_optuna():
-            self._mirror = optuna.create_study(directions=study.directions, sampler=factory(0))
+        self._mirror = optuna.create_study(directions=study.directions, sampler=self._factory(0))
         self._pull()
 
     @property
@@ -251,43 +259,26 @@ class _Session:
             self._mirror.add_trial(trial)
         return new
 
-    def _judge(self, trial: Trial, outcome: TrialOutcome) -> list[float] | None:
+    def _judge(self, trial: Trial, outcome: TrialOutcome) -> Sequence[float] | None:
         """Record what is to be known about a trial; return its values if it has succeeded."""
         for key, value in outcome.attributes.items():
-            trial.set_user_attr(key, _plain(key, value))
+            trial.set_user_attr(key, value)
         if outcome.error is not None:
             trial.set_user_attr("error", outcome.error)
-        if outcome.values is None:
-            return None
-        values = [float(value) for value in outcome.values]
-        if len(values) != len(self.study.directions):
-            raise StudyError(
-                f"evaluate returned {len(values)} values for a trial, the study has "
-                f"{len(self.study.directions)} directions: make the two agree."
-            )
-        if all(math.isfinite(value) for value in values):
-            return values
-        trial.set_user_attr("failed_values", [str(value) for value in values])
+        if outcome.values is None or all(math.isfinite(value) for value in outcome.values):
+            return outcome.values
+        trial.set_user_attr("failed_values", [str(value) for value in outcome.values])
         return None
 
 
-def _open_study(
-    storage: str | Path | BaseStorage | None,
-    name: str,
-    directions: Sequence[str],
-    search_space: SearchSpace,
-    seed: int | None,
-    identity: Mapping[str, str] | None,
-) -> optuna.Study:
-    try:
-        wanted = [StudyDirection[direction.upper()] for direction in directions]
-    except KeyError as error:
-        raise StudyError(f"The directions {list(directions)} must each be minimize or maximize.") from error
-    opened = open_storage(storage)
-    with _quiet_optuna():
-        study = optuna.create_study(storage=opened, study_name=name, directions=wanted, load_if_exists=True)
-    space, attributes = search_space_to_json(search_space), study.user_attrs
-    if study.directions != wanted or attributes.get("search_space", space) != space:
+def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optuna.Study:
+    optuna.logging.set_verbosity(optuna.logging.WARNING)  # Optuna announces each study that it opens
+    name, directions = how.study_name, [StudyDirection[direction.upper()] for direction in how.directions]
+    study = optuna.create_study(
+        storage=open_storage(how.storage), study_name=name, directions=directions, load_if_exists=True
+    )
+    space, attributes = search_space_to_json(how.search_space), study.user_attrs
+    if study.directions != directions or attributes.get("search_space", space) != space:
         raise StudyError(
             f"The stored study {name!r} has other directions, parameters or ranges than the ones given: "
             "give the new one another study_name or storage, or restore them."
@@ -303,8 +294,7 @@ def _open_study(
         study.set_user_attr("identity", dict(identity))
     if "search_space" not in attributes:
         study.set_user_attr("search_space", space)
-    if seed is None:
-        seed = attributes.get("seed", secrets.randbits(31))
+    seed = attributes.get("seed", secrets.randbits(31)) if how.seed is None else how.seed
     if attributes.get("seed") != seed:
         study.set_user_attr("seed", seed)
     return study
@@ -323,27 +313,3 @@ def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
         if not _SCRATCH.match(key) and (keep_state or not _OPTIMIZER_STATE.match(key))
     }
     return stored
-
-
-def _plain(key: str, value: Any) -> Any:
-    """Turn numpy and torch data into JSON data."""
-
-    def unpack(what: Any) -> Any:
-        if not hasattr(what, "tolist"):
-            raise StudyError(
-                f"The attribute {key!r} holds a {type(what).__name__}: give numbers, texts, lists or dicts."
-            )
-        return what.tolist()
-
-    return json.loads(json.dumps(value, default=unpack))
-
-
-@contextmanager
-def _quiet_optuna() -> Iterator[None]:
-    """Keep Optuna from announcing each study it opens, without changing what the user has set."""
-    level = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(max(level, optuna.logging.WARNING))
-    try:
-        yield
-    finally:
-        optuna.logging.set_verbosity(level)

@@ -1,74 +1,19 @@
-"""The settings of a study: Hydra's config under `hydra.sweeper`, and what is read from it."""
+"""The settings of a study as Hydra's config has them under `hydra.sweeper`."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import optuna
 from hydra.utils import to_absolute_path
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from op3.common.settings import Count, Listed, Whole, settings
-from op3.identify.samplers import make_sampler_factory
 from op3.identify.search_space import SearchSpace, StudyError, check_nominal, parse_search_space
-from op3.identify.storage import open_storage
-from op3.identify.study import Evaluate, run_study
+from op3.identify.study import StudySettings
 from op3.identify.sweeper_conf import PopulationSweeperConf
 from op3.servo.conditions import JOINT
 
 STORAGE_FILE = "study.journal"
-
-
-def _refused(field: str, wanted: str, given: Any) -> StudyError:
-    return StudyError(f"hydra.sweeper: {field} must be {wanted}, got {given!r}.")
-
-
-@settings("hydra.sweeper", _refused)
-class StudySettings:
-    """What one study needs, read from a composed config."""
-
-    search_space: SearchSpace
-    nominal: dict[str, Any] | None
-    sampler: Any
-    directions: Listed[str]
-    storage: str
-    study_name: str
-    n_trials: Count
-    population: Count
-    parallel_populations: Count
-    seed: Whole | None
-    starts: Whole = 0
-    worker: Whole = 0
-
-    def check(self) -> None:
-        """Find out before the first trial whether the sampler and the storage can be used."""
-        make_sampler_factory(
-            self.sampler,
-            population=self.population * self.parallel_populations,
-            directions=len(self.directions),
-            nominal=self.nominal,
-        )
-        open_storage(self.storage)
-
-    def run(
-        self,
-        evaluate: Evaluate,
-        starts: Sequence[Mapping[str, Any]] = (),
-        identity: Mapping[str, str] | None = None,
-    ) -> optuna.Study:
-        """Run the study, or go on with it, from these starts; see `run_study` for its identity."""
-        given = {
-            field.name: getattr(self, field.name) for field in fields(self) if field.name != "parallel_populations"
-        }
-        given |= {"population": self.population * self.parallel_populations, "starts": starts}
-        given["identity"] = identity
-        return run_study(evaluate, **given)
-
-    def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-        """Cut what was asked into the populations of single jobs."""
-        return [population[i : i + self.population] for i in range(0, len(population), self.population)]
 
 
 def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: str = "") -> StudySettings:
@@ -88,13 +33,13 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
     assert isinstance(plain, dict)
     search_space = search_space_of(plain)
     values = {key: _config_value(config, key.partition(f"@{JOINT}=")[0]) for key in search_space}
-    direction = plain["direction"]
+    directions: Any = [plain["direction"]] if isinstance(plain["direction"], str) else plain["direction"]
     storage, name = plain["storage"], plain["study_name"] or "study"
     return StudySettings(
         search_space=search_space,
         nominal=check_nominal(search_space, values) if plain["nominal"] else None,
         sampler=plain["sampler"],
-        directions=(direction,) if isinstance(direction, str) else tuple(direction),
+        directions=directions,
         storage=_storage_address(storage, folder),
         study_name=f"{name}/{cell}" if storage and cell else name,
         **{key: plain[key] for key in ("n_trials", "population", "parallel_populations", "seed", "starts", "worker")},

@@ -17,11 +17,11 @@ Folders:
         populations/0/, 1/, ...                one folder per population job, with its population.json
 """
 
+import functools
 import itertools
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,6 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
-from hydra.errors import CompactHydraException
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
@@ -40,8 +39,9 @@ from omegaconf import DictConfig, OmegaConf
 from op3.common.writing import write_text
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
-from op3.identify.study import Evaluate, TrialOutcome, as_outcome, evaluate_population
-from op3.identify.study_settings import StudySettings, read_settings
+from op3.identify.storage import open_storage
+from op3.identify.study import Evaluate, StudySettings, TrialOutcome, evaluate_population, run_study
+from op3.identify.study_settings import read_settings
 
 log = logging.getLogger(__name__)
 
@@ -76,33 +76,30 @@ def sweep_or_report(
     path = OmegaConf.select(cfg, "population")
     if path is not None:
         if not Path(str(path)).is_file():
-            with _one_sentence():
-                raise ValueError(f"population={path}: the sweeper writes that file itself; leave it out")
+            raise ValueError(f"population={path}: the sweeper writes that file itself; leave it out")
         asked = json.loads(Path(path).read_text())
         if isinstance(asked, dict):
-            starts = _propose(propose, asked["starts"]) if asked["starts"] else []
-            return {"starts": starts, "identity": None if identity is None else dict(identity)}
+            return {"starts": _propose(propose, asked["starts"]), "identity": identity}
         return evaluate_population(evaluate, asked)
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
-    with _one_sentence():
-        settings = read_settings(cfg, hydra_config.sweeper, folder)
+    settings = read_settings(cfg, hydra_config.sweeper, folder)
 
-        def evaluate_chunks(population: list[dict[str, Any]]) -> list[TrialOutcome]:
-            chunks = settings.split(population)
-            return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
+    def evaluate_chunks(population: list[dict[str, Any]]) -> list[TrialOutcome]:
+        chunks = settings.split(population)
+        return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
 
-        starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
-        study = settings.run(evaluate_chunks, starts, identity)
+    starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
+    study = run_study(evaluate_chunks, settings, starts, identity)
     summary = summarize(study)
     write_results(folder, summary)
     return summary if report is None else report(study)
 
 
 def _propose(propose: Propose | None, count: int) -> list[dict[str, Any]]:
-    if propose is None:
+    if count and propose is None:
         raise StudyError("hydra.sweeper.starts: this experiment proposes no starts: set it to 0.")
-    return [dict(values) for values in propose(count)]
+    return [dict(values) for values in propose(count)] if propose and count else []
 
 
 def _kept_starts(
@@ -139,23 +136,21 @@ class PopulationSweep:
         sweep_dir = Path(str(self._config.hydra.sweep.dir)).absolute()
         sweep_dir.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(self._config, sweep_dir / "multirun.yaml")
-        with _one_sentence():
-            parser = OverridesParser.create(config_loader=self._loader)
-            grid = expand_grid(parser.parse_overrides(arguments))
-            # All cells are read before the first one runs: an error shows at once, not after hours.
-            cells = [self._cell(sweep_dir / str(i), overrides, grid) for i, overrides in enumerate(grid)]
-            summaries: list[dict[str, Any]] = []
-            returns: list[Sequence[JobReturn]] = []
-            for number, (overrides, (folder, settings)) in enumerate(zip(grid, cells, strict=True)):
-                log.info("Study %d of %d: %s", number + 1, len(grid), " ".join(overrides) or "(no overrides)")
-                begun = self._begin(overrides, folder, settings)
-                starts = _kept_starts(folder, settings, lambda b=begun: b["starts"])
-                study = settings.run(
-                    lambda p, o=overrides, f=folder, s=settings: self._launch(p, o, f, s), starts, begun["identity"]
-                )
-                summaries.append({"folder": folder.name, "overrides": list(overrides), **summarize(study)})
-                write_results(sweep_dir, _sweep_summary(summaries, len(grid)))
-                returns.append(self._report(overrides, folder, settings, number))
+        parser = OverridesParser.create(config_loader=self._loader)
+        grid = expand_grid(parser.parse_overrides(arguments))
+        # All cells are read before the first one runs: an error shows at once, not after hours.
+        cells = [self._cell(sweep_dir / str(i), overrides, grid) for i, overrides in enumerate(grid)]
+        summaries: list[dict[str, Any]] = []
+        returns: list[Sequence[JobReturn]] = []
+        for number, (overrides, (folder, settings)) in enumerate(zip(grid, cells, strict=True)):
+            log.info("Study %d of %d: %s", number + 1, len(grid), " ".join(overrides) or "(no overrides)")
+            begun = self._begin(overrides, folder, settings)
+            starts = _kept_starts(folder, settings, lambda b=begun: b["starts"])
+            launch = functools.partial(self._launch, overrides=overrides, folder=folder, settings=settings)
+            study = run_study(launch, settings, starts, begun["identity"])
+            summaries.append({"folder": folder.name, "overrides": list(overrides), **summarize(study)})
+            write_results(sweep_dir, _sweep_summary(summaries, len(grid)))
+            returns.append(self._report(overrides, folder, settings, number))
         for jobs in returns:
             for job in jobs:
                 _ = job.return_value  # raises what the report has raised
@@ -166,7 +161,8 @@ class PopulationSweep:
         common = set.intersection(*(set(cell) for cell in grid))
         name = ",".join(override for override in overrides if override not in common)
         settings = read_settings(config, config.hydra.sweeper, folder, name)
-        settings.check()
+        settings.samplers()
+        open_storage(settings.storage)
         return folder, settings
 
     def _launch(
@@ -202,7 +198,7 @@ class PopulationSweep:
         """Run the experiment once more, in the cell's own folder, where it finds its study finished."""
         place = _place_overrides(folder.parent, folder.name)
         finished = [
-            f"hydra.sweeper.storage={_quoted(settings.storage)}",
+            f"hydra.sweeper.storage={_quoted(str(settings.storage))}",
             f"hydra.sweeper.study_name={_quoted(settings.study_name)}",
         ]
         job = [*overrides, *place, *finished, "++population=null"]
@@ -270,25 +266,10 @@ def _job_outcomes(chunk: list[dict[str, Any]], job: JobReturn) -> list[TrialOutc
         if isinstance(error, StudyError):
             raise error
         return [TrialOutcome(None, error=f"job: {type(error).__name__}: {error}") for _ in chunk]
-    results = job.return_value
-    if not isinstance(results, Sequence) or len(results) != len(chunk):
-        raise StudyError(
-            f"The job for a population of {len(chunk)} returned {type(results).__name__}: "
-            "the experiment must return what sweep_or_report returns."
-        )
-    return [as_outcome(result) for result in results]
+    return job.return_value
 
 
 def _sweep_summary(summaries: list[dict[str, Any]], cells: int) -> dict[str, Any]:
     if cells > 1:
         return {"name": "optuna", "studies": summaries}
     return {key: value for key, value in summaries[0].items() if key not in ("folder", "overrides")}
-
-
-@contextmanager
-def _one_sentence() -> Iterator[None]:
-    """Let Hydra print a wrong setting as its sentence, without a stack trace."""
-    try:
-        yield
-    except StudyError as error:
-        raise CompactHydraException(str(error)) from error

@@ -5,7 +5,7 @@ import pytest
 
 from op3.identify.identification import PREFIX, Identification
 from op3.identify.search_space import parse_search_space
-from op3.identify.study import run_study
+from op3.identify.study import StudySettings, run_study
 from op3.motions import squat
 from op3.replay import simulate_motion
 from op3.rollout import Rollout
@@ -20,6 +20,12 @@ SPACE = parse_search_space(
         PREFIX + "backward_efficiency": "interval(0.6, 1.0)",
     }
 )
+
+
+def searched(identification: Identification, space=SPACE, trials: int = 12) -> optuna.Study:
+    """A study of random trials."""
+    how = StudySettings(space, "random", n_trials=trials, population=trials, seed=0)
+    return run_study(identification.evaluate, how, progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +46,7 @@ def identification(model, logs) -> Identification:
 
 @pytest.fixture(scope="module")
 def study(identification) -> optuna.Study:
-    return run_study(
-        identification.evaluate, SPACE, sampler="random", n_trials=12, population=12, seed=0, progress=False
-    )
+    return searched(identification)
 
 
 def test_least_squares_finds_the_parameters_that_made_the_log(identification, study):
@@ -84,8 +88,7 @@ def test_parameters_of_effects_that_are_off_are_refused(model, logs):
 def test_rounds_of_the_surrogate_find_the_parameters_without_least_squares(model, logs):
     """Twelve trials and rounds of four squats come to the truth; what the trials simulated is not simulated again."""
     problem = Identification(model, logs[:1], [], list(TRUTH), joints=CONTROLLED_JOINTS)
-    study = run_study(problem.evaluate, SPACE, sampler="random", n_trials=12, population=12, seed=0, progress=False)
-    fit = problem.finish(study, rounds=3, batch=4)
+    fit = problem.finish(searched(problem), rounds=3, batch=4)
     for name, value in TRUTH.items():
         assert fit.model.estimates[name].value == pytest.approx(value, rel=0.02)
     assert list(fit.refined) == sorted(fit.refined, reverse=True)
@@ -101,8 +104,7 @@ def test_joints_that_differ_are_told_apart():
     log = simulate_motion(model.with_values({names[0]: 0.2}), squat(frequency=1.0, duration=1.0), mount="stand")
     identification = Identification(model, [log], [], names, joints=CONTROLLED_JOINTS)
     space = parse_search_space({PREFIX + name: "interval(0.01, 0.25)" for name in names})
-    trials = run_study(identification.evaluate, space, sampler="random", n_trials=12, population=12, seed=0)
-    fit = identification.finish(trials, starts=1)
+    fit = identification.finish(searched(identification, space), starts=1)
     left, right = (fit.model.estimate(name) for name in names)
     assert left.value == pytest.approx(0.2, abs=0.01)
     assert right.value == pytest.approx(model.value("coulomb_friction"), abs=0.01)
@@ -122,8 +124,7 @@ def test_joints_that_differ_go_along_with_a_shared_value(model):
     log = simulate_motion(known.moved({"torque_constant": 0.007}), squat(frequency=1.0, duration=1.0))
     identification = Identification(known, [log], [], ["torque_constant"], joints=CONTROLLED_JOINTS)
     space = parse_search_space({PREFIX + "torque_constant": "interval(0.003, 0.009)"})
-    study = run_study(identification.evaluate, space, sampler="random", n_trials=6, population=6, seed=0)
-    found = identification.finish(study, starts=1).model
+    found = identification.finish(searched(identification, space, 6), starts=1).model
     assert found.value("torque_constant") == pytest.approx(0.007, rel=1e-3)
     assert found.value("torque_constant") * 1.1 == pytest.approx(found.estimate(knee).value)
 

@@ -10,7 +10,7 @@ from scipy.stats import wasserstein_distance
 
 from op3.identify.level_set_sampler import IMAGE, MISFIT, quantile_misfit, residual_image
 from op3.identify.search_space import parse_search_space
-from op3.identify.study import TrialOutcome, run_study
+from op3.identify.study import StudySettings, TrialOutcome, run_study
 
 SIZE = 8
 SPACE = parse_search_space({f"p{i}": "interval(0.0, 1.0)" for i in range(SIZE)})
@@ -59,20 +59,11 @@ def level_set(count: int) -> list[dict[str, float]]:
     return [dict(zip(NOMINAL, map(float, row), strict=True)) for row in np.clip(rows, 0.0, 1.0)]
 
 
-def study(sampler: str, trials: int, **more) -> optuna.Study:
+def study(sampler: str, trials: int, seed: int) -> optuna.Study:
     """A study of both objectives."""
-    return run_study(
-        evaluate,
-        SPACE,
-        sampler=sampler,
-        directions=("minimize", "minimize"),
-        n_trials=trials,
-        population=32,
-        nominal=NOMINAL,
-        starts=level_set(24),
-        progress=False,
-        **more,
-    )
+    directions = ("minimize", "minimize")
+    how = StudySettings(SPACE, sampler, directions, n_trials=trials, population=32, nominal=NOMINAL, seed=seed)
+    return run_study(evaluate, how, level_set(24), progress=False)
 
 
 def within(trials: list) -> list[float]:

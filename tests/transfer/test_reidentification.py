@@ -10,7 +10,7 @@ from optuna.distributions import FloatDistribution
 
 from op3.envs import BatchedEnv, record_episodes
 from op3.identify.level_set_sampler import IMAGE, MISFIT
-from op3.identify.study import run_study
+from op3.identify.study import StudySettings, run_study
 from op3.motions import squat
 from op3.policy import PolicyBundle
 from op3.replay import simulate_motion
@@ -134,18 +134,9 @@ def test_a_study_moves_towards_the_robot(problem):
         "parameters.coulomb_friction": FloatDistribution(0.034, 0.226),
     }
     nominal = {f"parameters.{name}": problem.model.value(name) for name in NAMES}
-    study = run_study(
-        problem.evaluate,
-        space,
-        sampler="nsga2",
-        directions=("minimize", "minimize"),
-        n_trials=24,
-        population=8,
-        nominal=nominal,
-        seed=0,
-        progress=False,
-    )
-    found = problem.finish(study)
+    directions = ("minimize", "minimize")
+    how = StudySettings(space, "nsga2", directions, n_trials=24, population=8, nominal=nominal, seed=0)
+    found = problem.finish(run_study(problem.evaluate, how, progress=False))
     assert found.chosen.distance < found.start.distance
     assert found.chosen.excitation <= 1.25 * found.start.excitation
     assert found.model.value("torque_constant") == found.chosen.values["torque_constant"]
