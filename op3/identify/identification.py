@@ -1,13 +1,12 @@
 """From logs to a model: evaluate parameter sets, choose the best, refine it, and test it on held-out logs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import optuna
 import torch
-from torch import Tensor
 
 from op3.common.settings import Count, Whole, settings
 from op3.identify.identifiability import Identifiability, identifiability
@@ -223,9 +222,7 @@ class Identification:
         self._evaluated += len(population)
         return self.problem.evaluate([self._values(trial) for trial in population])
 
-    def finish(
-        self, study: optuna.Study, *, progress: Callable[[int, float], None] | None = None, **refine: Any
-    ) -> Fit:
+    def finish(self, study: optuna.Study, **refine: Any) -> Fit:
         """Choose the best trial of a finished study, refine it as `Refine` states, and score the result.
 
         Args:
@@ -243,7 +240,7 @@ class Identification:
         ranges = self._values(complete[0].distributions)
         bounds = {name: (float(ranges[name].low), float(ranges[name].high)) for name in self.names}
         residuals = self.problem.residual_function(Box.of(bounds))
-        polished, refined = self._search_on(complete, Box.of(bounds), residuals, how, progress)
+        polished, refined = self._search_on(complete, Box.of(bounds), residuals, how)
         values, sensitivity = polished.values, polished.sensitivity
         fit, heldout = self.score(values)
         blocks, channels = self._blocks(fit.predictions)
@@ -273,53 +270,45 @@ class Identification:
         box: Box,
         residuals: Residuals,
         how: Refine,
-        progress: Callable[[int, float], None] | None,
     ) -> tuple[Polished, list[float]]:
         """Where the search from these trials, the best first, ends, and the losses on the way."""
         candidates = [self._values(t.params) for t in trials[: max(how.starts, MOST_POINTS if how.rounds else 1)]]
         best, values, history = trials[0].value or 0.0, candidates[0], []
-        common = {"failed_loss": self.loss.failed_loss(len(self.problem.replay.logs)), "progress": progress}
+        failed = self.loss.failed_loss(len(self.problem.replay.logs))
         known: dict[str, np.ndarray] = {}
         if how.rounds:
             points, first = np.array([box.unit(c) for c in candidates]), self.problem.residuals_of(candidates).numpy()
-            explored = explore(residuals, points, first, rounds=how.rounds, batch=how.batch, seed=how.seed, **common)
+            search = {"rounds": how.rounds, "batch": how.batch, "seed": how.seed, "failed_loss": failed}
+            explored = explore(residuals, points, first, **search)
             history += explored.history
             known = {"curvature": explored.curvature, "known": explored.residual}
             best, candidates = float(explored.losses[0]), [box.values(unit) for unit in explored.points]
             values = candidates[0]
         if how.starts:
-            descended = refine(
-                residuals, box, candidates[: how.starts], max_iterations=how.max_iterations, progress=progress
-            )
+            descended = refine(residuals, box, candidates[: how.starts], max_iterations=how.max_iterations)
             history += descended.history[1:] if how.rounds else descended.history
             if descended.loss < best:
                 values = descended.values
                 known.pop("known", None)
-        polished = polish(residuals, box, values, steps=how.polish, **known, **common)
+        polished = polish(residuals, box, values, steps=how.polish, failed_loss=failed, **known)
         history += polished.history[1:] if history or not how.polish else polished.history
         return polished, history
 
     def score(self, values: Mapping[str, float]) -> tuple[FitScore, FitScore | None]:
         """Score one parameter set on the fitted and on the held-out logs; None where nothing is held out."""
-        fitted, unseen = self._predict({name: torch.tensor([value]) for name, value in values.items()})
-        return self._score(fitted), self._score(unseen) if unseen else None
-
-    def _predict(self, parameters: Mapping[str, Tensor]) -> tuple[list[Prediction], list[Prediction]]:
-        """One candidate on the fitted and on the held-out logs."""
-        predictions = self._all.predict(parameters, 1)
-        count = len(self.problem.replay.logs)
+        predictions = self._all.predict({name: torch.tensor([value]) for name, value in values.items()})
         self.problem.simulated_seconds += self.problem.replay.seconds
-        return predictions[:count], predictions[count:]
+        count = len(self.problem.replay.logs)
+        unseen = predictions[count:]
+        return self._score(predictions[:count]), self._score(unseen) if unseen else None
 
     def _score(self, predictions: Sequence[Prediction]) -> FitScore:
         paper = TrajectoryLoss(self.joints)
-        terms = [paper.terms(prediction) for prediction in predictions]
-        keys = sorted({key for term in terms for key in term})
         errors = 1e3 * position_error(predictions, self.joints)[0]
         return FitScore(
             loss=float(self.loss(predictions)[0]),
             paper_eq7=float(paper(predictions)[0]),
-            terms={"/".join(key): float(torch.stack([t[key][0] for t in terms if key in t]).mean()) for key in keys},
+            terms={name: float(term[0]) for name, term in paper.mean_terms(predictions).items()},
             error_mrad=float(errors.mean()),
             errors_mrad=errors.tolist(),
             predictions=predictions,

@@ -134,6 +134,12 @@ class TrajectoryLoss:
             result[key] = torch.where(prediction.failed, torch.nan, value)
         return result
 
+    def mean_terms(self, predictions: Sequence[Prediction]) -> dict[str, Tensor]:
+        """The terms by name of the channel, ``[candidate]``, averaged over the logs that have it."""
+        terms = [self.terms(prediction) for prediction in predictions]
+        keys = sorted({key for term in terms for key in term})
+        return {"/".join(key): torch.stack([term[key] for term in terms if key in term]).mean(0) for key in keys}
+
     def __call__(self, predictions: Sequence[Prediction]) -> Tensor:
         """Weighted loss, averaged over logs, ``[candidate]``; NaN where a simulation failed."""
         losses = []

@@ -5,7 +5,7 @@ as an interval. So the matrix that says how well each parameter is known is the 
 valley in which parameters trade off is walked along, not across.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,13 +26,11 @@ class Polished:
 
     Attributes:
         values: by parameter name.
-        loss: squared length of the residual there.
-        history: loss before, and after every step.
+        history: squared length of the residual before, and after every step.
         sensitivity: around that point.
     """
 
     values: Mapping[str, float]
-    loss: float
     history: Sequence[float]
     sensitivity: Sensitivity
 
@@ -46,7 +44,6 @@ def polish(
     curvature: Array | None = None,
     known: Array | None = None,
     failed_loss: float = np.inf,
-    progress: Callable[[int, float], None] | None = None,
 ) -> Polished:
     """At most so many steps, each after a batch of 2 n differences; then the sensitivities.
 
@@ -72,16 +69,12 @@ def polish(
         curvature, jump = latest.curvature, latest.jump
         return latest.jacobian
 
-    def note(step: int, loss: float) -> None:
-        history.append(loss)
-        if progress is not None:
-            progress(step, loss)
-
     if steps:
-        unit, residual = least_squares(residuals, unit, residual, measure, steps=steps, tolerance=GAIN, progress=note)
+        how = {"steps": steps, "tolerance": GAIN, "note": history.append}
+        unit, residual = least_squares(residuals, unit, residual, measure, **how)
     for _ in range(1 + LENGTHENED):
         if latest is not None and np.array_equal(unit, latest.unit) and latest.long_enough:
             break
         measure(unit, residual)
     assert latest is not None
-    return Polished(box.values(unit), history[-1], history, replace(latest, unseen=unseen | latest.unseen))
+    return Polished(box.values(unit), history, replace(latest, unseen=unseen | latest.unseen))

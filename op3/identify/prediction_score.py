@@ -1,5 +1,6 @@
 """How well a model predicts logs, with intervals: errors per channel, joint and trajectory of open-loop replays."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,12 @@ FEWEST_LOGS = 5
 
 BLOCKS = 10
 """Blocks of equal length per log."""
+
+Array = NDArray[np.float64]
+
+ERROR, EQ7 = ("error_mrad",), ("paper_eq7",)
+CHANNEL, JOINT, TRAJECTORY = "channel", "joint", "trajectory"
+"""What errors are of, followed by the channel, channel and joint, or motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,21 +107,26 @@ def score_predictions(
     """Measure what predictions of one candidate leave; see `predict_logs`."""
     loss = TrajectoryLoss(tuple(joints))
     blocks = 1 if len(predictions) >= FEWEST_LOGS else BLOCKS
-    parts = [_cut(loss, prediction, blocks) for prediction in predictions]
-    good = [part for part in parts if part is not None]
-    scores = []
-    for prediction, part in zip(predictions, parts, strict=True):
-        mrad = None if part is None else float((part.weights @ part.error_mrad) / part.weights.sum())
-        eq7 = None if part is None else float((part.weights @ part.paper_eq7) / part.weights.sum())
-        scores.append(LogScore(prediction.log, mrad, eq7, was_fitted(model, prediction.log)))
-    summary = _Summary(good, seed)
+    scores, pooled = [], defaultdict(list)
+    for prediction in predictions:
+        seen = was_fitted(model, prediction.log)
+        if bool(prediction.failed.any()):
+            scores.append(LogScore(prediction.log, None, None, seen))
+            continue
+        weights, errors = _cluster_errors(loss, prediction, blocks)
+        for key, values in errors.items():
+            pooled[key].append((values, weights))
+        mrad, eq7 = (float(weights @ errors[key] / weights.sum()) for key in (ERROR, EQ7))
+        scores.append(LogScore(prediction.log, mrad, eq7, seen))
+    means = {key: _mean(parts, seed) for key, parts in pooled.items()}
+    channels = {key[1]: _root(mean) for key, mean in means.items() if key[0] == CHANNEL}
     return PredictionScore(
         logs=scores,
-        error_mrad=summary.mean([part.error_mrad for part in good]) if good else None,
-        paper_eq7=summary.mean([part.paper_eq7 for part in good]) if good else None,
-        channels={key: summary.root(key) for key in summary.names},
-        joints={key: {name: summary.root(key, name) for name in names} for key, names in summary.names.items()},
-        trajectories=summary.trajectories(),
+        error_mrad=means.get(ERROR),
+        paper_eq7=means.get(EQ7),
+        channels=channels,
+        joints={c: {k[2]: _root(mean) for k, mean in means.items() if k[:2] == (JOINT, c)} for c in channels},
+        trajectories={key[1]: mean for key, mean in means.items() if key[0] == TRAJECTORY},
         clusters="logs" if blocks == 1 else "blocks",
         predictions=predictions,
         simulated_seconds=simulated_seconds,
@@ -126,74 +138,40 @@ def was_fitted(model: RobotModel, log: Rollout) -> bool:
     return log.fingerprint() in (model.provenance.get("fitted_logs") or ())
 
 
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """One log in clusters: a weight that adds up to one per log, and means over the cluster's rows."""
+def _cluster_errors(
+    loss: TrajectoryLoss, prediction: Prediction, blocks: int
+) -> tuple[Array, dict[tuple[str, ...], Array]]:
+    """One log in clusters ``[cluster]``: weights that add up to one, and mean errors by what they are of.
 
-    log: Rollout
-    weights: NDArray[np.float64]
-    error_mrad: NDArray[np.float64]
-    paper_eq7: NDArray[np.float64]
-    squares: Mapping[str, NDArray[np.float64]]
-    names: Mapping[str, list[str]]
-
-
-def _cut(loss: TrajectoryLoss, prediction: Prediction, blocks: int) -> _Cut | None:
-    if bool(prediction.failed.any()):
-        return None
+    Errors of channels and joints are mean squares.
+    """
     log = prediction.log
     differences = {"/".join(key): d[0].numpy() for key, d in loss.differences(prediction).items()}
-    rows = len(next(iter(differences.values())))
+    rows, columns = len(next(iter(differences.values()))), loss.columns(log)
     number = np.minimum(np.arange(rows) * blocks // rows, blocks - 1)
     members = [number == block for block in range(blocks) if (number == block).any()]
-    squares = {key: np.array([np.square(d[m]).mean(0) for m in members]) for key, d in differences.items()}
-    columns = loss.columns(log)
+    mrad = np.array([1e3 * np.abs(differences["joint/position"][m]).mean() for m in members])
+    motion = log.metadata.motion or log.metadata.recording or "log"
+    errors: dict[tuple[str, ...], Array] = {ERROR: mrad, EQ7: np.zeros(len(members)), (TRAJECTORY, motion): mrad}
     axes = {"imu/orientation": ["roll", "pitch"], "imu/angular_velocity": ["x", "y", "z"]}
-    for key in [key for key in squares if key.startswith("joint/")]:
-        kept = log.measured(key)[columns]
-        axes[key] = [log.joints[column] for column, good in zip(columns, kept, strict=True) if good]
-    # eq. (7) takes the body's vectors by their length and the joints on average
-    terms = [s.sum(1) if key.startswith("imu") else s.mean(1) for key, s in squares.items()]
-    return _Cut(
-        log,
-        np.array([m.mean() for m in members]),
-        np.array([1e3 * np.abs(differences["joint/position"][m]).mean() for m in members]),
-        np.sum(terms, axis=0),
-        squares,
-        {key: axes[key] for key in squares},
-    )
+    for key, difference in differences.items():
+        squares = np.array([np.square(difference[m]).mean(0) for m in members])
+        body = key.startswith("imu/")
+        names = axes[key] if body else [log.joints[column] for column in columns if log.measured(key)[column]]
+        errors |= {(CHANNEL, key): squares.mean(1)} | {(JOINT, key, n): squares[:, i] for i, n in enumerate(names)}
+        # eq. (7) takes the body's vectors by their length and the joints on average
+        errors[EQ7] = errors[EQ7] + (squares.sum(1) if body else squares.mean(1))
+    return np.array([m.mean() for m in members]), errors
 
 
-class _Summary:
-    """Estimates over all logs whose simulation did not diverge."""
+def _mean(parts: Sequence[tuple[Array, Array]], seed: int) -> Estimate:
+    """Weighted mean over the clusters of all logs with its interval, from values and weights of each log."""
+    values, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+    low, high = bootstrap_interval(values, weights, seed=seed)
+    return Estimate(float(weights @ values / weights.sum()), low, high)
 
-    def __init__(self, parts: Sequence[_Cut], seed: int):
-        self._parts = parts
-        self._seed = seed
-        self.names: dict[str, list[str]] = {key: names for part in parts for key, names in part.names.items()}
 
-    def mean(self, values: Sequence[NDArray[np.float64]], parts: Sequence[_Cut] | None = None) -> Estimate:
-        """Weighted mean over the clusters of parts."""
-        weights = np.concatenate([part.weights for part in (parts or self._parts)])
-        all_values = np.concatenate(values)
-        low, high = bootstrap_interval(all_values, weights, seed=self._seed)
-        return Estimate(float(weights @ all_values / weights.sum()), low, high)
-
-    def root(self, key: str, name: str | None = None) -> Estimate:
-        """Root mean square error of a channel, or of one joint or axis of it."""
-        parts = [part for part in self._parts if key in part.squares and (name is None or name in part.names[key])]
-        values = [
-            part.squares[key].mean(1) if name is None else part.squares[key][:, part.names[key].index(name)]
-            for part in parts
-        ]
-        mean = self.mean(values, parts)
-        low, high = (None if end is None else float(np.sqrt(end)) for end in (mean.low, mean.high))
-        return Estimate(float(np.sqrt(mean.value)), low, high)
-
-    def trajectories(self) -> dict[str, Estimate]:
-        """Position error by motion [mrad]."""
-        by_motion: dict[str, list[_Cut]] = {}
-        for part in self._parts:
-            known = part.log.metadata
-            by_motion.setdefault(known.motion or known.recording or "log", []).append(part)
-        return {motion: self.mean([p.error_mrad for p in parts], parts) for motion, parts in by_motion.items()}
+def _root(mean: Estimate) -> Estimate:
+    """A root mean square from a mean square."""
+    low, high = (None if end is None else float(np.sqrt(end)) for end in (mean.low, mean.high))
+    return Estimate(float(np.sqrt(mean.value)), low, high)

@@ -52,15 +52,13 @@ class Problem:
         predictions = self.predict(columns(population), len(population))
         losses = self.loss(predictions)
         self._keep(population, self.loss.residuals(predictions))
-        terms = [self.loss.terms(prediction) for prediction in predictions]
-        keys = {key for term in terms for key in term}
-        outcomes = []
-        for i, loss in enumerate(losses.tolist()):
-            means = {
-                "/".join(key): float(torch.stack([t[key][i] for t in terms if key in t]).mean()) for key in sorted(keys)
-            }
-            outcomes.append(TrialOutcome((loss,), means) if loss == loss else TrialOutcome(None, error="diverged"))
-        return outcomes
+        terms = {name: term.tolist() for name, term in self.loss.mean_terms(predictions).items()}
+        return [
+            TrialOutcome((loss,), {name: values[i] for name, values in terms.items()})
+            if loss == loss
+            else TrialOutcome(None, error="diverged")
+            for i, loss in enumerate(losses.tolist())
+        ]
 
     def _keep(self, population: Sequence[Mapping[str, float]], residual: Tensor) -> None:
         for member, row in list(zip(population, residual, strict=True))[-KEPT:]:

@@ -37,7 +37,6 @@ def refine(
     *,
     max_iterations: int = 25,
     tolerance: float = 2e-3,
-    progress: Callable[[int, float], None] | None = None,
 ) -> Refinement:
     """Least squares from several starts.
 
@@ -46,12 +45,7 @@ def refine(
         starts: values to start from; those outside the box are clipped.
         max_iterations: at most so many Jacobians of a start.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
-
-    Raises:
-        ValueError: if there are no parameters or no starts.
     """
-    if not box.names or not starts:
-        raise ValueError("refine needs at least one parameter and one start")
     history = [np.inf]
 
     def differences(unit: Array, residual: Array) -> Array:
@@ -59,16 +53,14 @@ def refine(
         moved = simulate(residuals, unit + np.diag(steps))
         return ((moved - residual) / steps[:, None]).T
 
-    def note(_: int, loss: float) -> None:
+    def note(loss: float) -> None:
         history.append(min(history[-1], loss))
-        if progress is not None:
-            progress(len(history) - 1, history[-1])
 
     def descend(unit: Array) -> tuple[float, Array]:
         residual = simulate(residuals, unit[None])[0]
         history[0] = min(history[0], float(residual @ residual)) if len(history) == 1 else history[0]
         unit, residual = least_squares(
-            residuals, unit, residual, differences, steps=max_iterations, tolerance=tolerance, progress=note
+            residuals, unit, residual, differences, steps=max_iterations, tolerance=tolerance, note=note
         )
         return float(residual @ residual), unit
 
@@ -84,7 +76,7 @@ def least_squares(
     *,
     steps: int,
     tolerance: float,
-    progress: Callable[[int, float], None] | None = None,
+    note: Callable[[float], None],
 ) -> tuple[Array, Array]:
     """Go down within the unit box by a trust region (`scipy.optimize.least_squares`).
 
@@ -94,7 +86,7 @@ def least_squares(
         jacobian: at a point, from it and its residual: ``[residual, parameter]``.
         steps: at most so many.
         tolerance: a step that lowers the loss by less than this share is the last.
-        progress: called after every step with its number and the loss, the squared length of the residual.
+        note: called after every step with the loss, the squared length of the residual.
 
     Returns:
         The last point and its residual.
@@ -108,8 +100,7 @@ def least_squares(
         return known[key]
 
     def stop(intermediate_result: optimize.OptimizeResult) -> None:
-        if progress is not None:
-            progress(intermediate_result.nit, 2 * float(intermediate_result.cost))
+        note(2 * float(intermediate_result.cost))
         if intermediate_result.nit >= steps:
             raise StopIteration
 

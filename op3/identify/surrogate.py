@@ -8,7 +8,7 @@ residuals, and its expected square needs nothing but their products with each ot
 (composite Bayesian optimisation; Astudillo & Frazier, Bayesian Optimization of Composite Functions, ICML 2019).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +66,6 @@ def explore(
     batch: int = 12,
     seed: int = 0,
     failed_loss: float = np.inf,
-    progress: Callable[[int, float], None] | None = None,
 ) -> Exploration:
     """Search with a surrogate of the residuals: each round simulates a batch of points that it proposes.
 
@@ -80,10 +79,8 @@ def explore(
         failed_loss: a loss that only a diverged simulation has.
 
     Raises:
-        ValueError: if there are no points, or if all simulations diverged.
+        ValueError: if all simulations diverged.
     """
-    if not len(points) or rounds < 0 or batch < 1:
-        raise ValueError(f"explore needs points, rounds and a batch, got {len(points)}, {rounds} and {batch}")
     rng = np.random.default_rng([seed, 3])
     first, count = len(points), points.shape[1]
     losses = np.square(residual).sum(1)
@@ -100,8 +97,6 @@ def explore(
         points, residual = np.concatenate([points, proposals]), np.concatenate([residual, simulated])
         losses = np.square(residual).sum(1)
         history.append(float(losses.min()))
-        if progress is not None:
-            progress(len(history) - 1, history[-1])
     order = _worth_learning(losses, count, first, failed_loss)
     curvature = Surrogate(points[order], residual[order], scales).slope(torch.from_numpy(points[order[0]]))[1]
     order = np.argsort(losses, kind="stable")
