@@ -104,6 +104,15 @@ def rotation_matrix(roll: float, pitch: float, yaw: float = 0.0) -> Array:
     return matrix.reshape(3, 3)
 
 
+def roll_pitch_yaw(quaternion: Array) -> Array:
+    """Roll, pitch and yaw [rad] of R = Rz(yaw) Ry(pitch) Rx(roll) from unit quaternions (w, x, y, z), ``[..., 4]``."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], -1)
+
+
 def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
     """Share of a motion completed at a share of its time, 0 to 1 each, with zero speed and acceleration at its ends."""
     s = np.clip(share, 0.0, 1.0)

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from op3.sim.ports import ServoPorts, attach_servos
     from op3.sim.servo_models import model_for, servo_model
     from op3.sim.trajectories import TrajectoryDynamics, trajectory_dynamics
-    from op3.sim.trunk_sensors import roll_pitch_yaw
     from op3.sim.window_simulation import MeasuredMotion, Window, WindowSimulation
 
 __all__ = [
@@ -31,7 +30,6 @@ __all__ = [
     "model_for",
     "model_hash",
     "model_names",
-    "roll_pitch_yaw",
     "save_model",
     "servo_model",
     "trajectory_dynamics",

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import mujoco
-import numpy as np
 import torch
 from torch import Tensor
 
+from op3.robot.kinematics import roll_pitch_yaw
 from op3.servo import Servos, Trunk
 
 
@@ -51,7 +51,7 @@ def readings(law: Servos, trunk: Trunk | None = None) -> dict[tuple[str, str], T
     }
     if trunk is not None:
         seen = law.sense_trunk(trunk)
-        channels[("imu", "orientation")] = roll_pitch_yaw(seen.quaternion)
+        channels[("imu", "orientation")] = torch.from_numpy(roll_pitch_yaw(seen.quaternion.numpy()))
         channels[("imu", "angular_velocity")] = seen.angular_velocity
     return channels
 
@@ -64,12 +64,3 @@ def undo_sensing(law: Servos, reading: Tensor) -> Tensor:
         law.sense()
         signals.position += reading - signals.measured_position
     return signals.position
-
-
-def roll_pitch_yaw(quaternion: Tensor) -> Tensor:
-    """Euler angles [rad] of ``R = Rz(yaw) Ry(pitch) Rx(roll)`` from unit quaternions ``[..., 4]``, w first."""
-    w, x, y, z = np.moveaxis(quaternion.detach().numpy(), -1, 0)  # of a few numbers, which numpy does sooner
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return torch.from_numpy(np.stack([roll, pitch, yaw], -1))

@@ -9,7 +9,6 @@ Both start from a compiled MuJoCo model, of which Pinocchio's takes masses, fram
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -26,26 +25,6 @@ except ImportError:
     raise ValueError("stand-ins and emulated robots need the package pin: pip install 'op3[stand-in]'") from None
 
 Array = NDArray[np.float64]
-
-
-class Bodies(Protocol):
-    """Rigid bodies that servos move."""
-
-    def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
-        """At rest: joints [joint] in rad, or the full MuJoCo position; `tilt`: roll and pitch of a stand in rad."""
-        ...
-
-    def begin_tick(self) -> None:
-        """A tick of the servos begins."""
-        ...
-
-    def run(self, count: int) -> None:
-        """Make `count` steps, none beyond the end of a tick."""
-        ...
-
-    def trunk(self) -> tuple[Array, Array, Array]:
-        """Quaternion (w, x, y, z), angular velocity [rad/s] and specific force [m/s^2], both in the trunk's axes."""
-        ...
 
 
 class Limbs:
@@ -87,7 +66,13 @@ class Limbs:
             self._mount = np.stack([inertia * rate**2, 2 * mount[1] * inertia * rate], 1)
 
     def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
-        """At rest, the mount where gravity holds it."""
+        """At rest, the mount where gravity holds it.
+
+        Args:
+            joint_position: [joint] in rad.
+            qpos: the full MuJoCo position, whose passive joints count.
+            tilt: roll and pitch of the stand in rad.
+        """
         turn = rotation_matrix(*tilt)
         self.model.gravity.linear = -turn.T @ self._gravity
         self._base = turn @ self._level
@@ -114,7 +99,7 @@ class Limbs:
         self._inverse, self._bias = self._freedoms.dynamics(self.model, self.data, place, ahead)
 
     def run(self, count: int) -> None:
-        """Make `count` steps with the inertia of this tick."""
+        """Make `count` steps with the inertia of this tick, none beyond its end."""
         servos = self._servos
         step_limbs(
             *servos.records,
@@ -131,7 +116,10 @@ class Limbs:
             raise FloatingPointError
 
     def trunk(self) -> tuple[Array, Array, Array]:
-        """Of the base: it leans with the stand."""
+        """Quaternion (w, x, y, z), angular velocity [rad/s] and specific force [m/s^2] of the base, in its axes.
+
+        It leans with the stand.
+        """
         matrix, rates = self._base, np.zeros(3)
         if self._bases:
             rates[:2] = self.velocity[:2]
@@ -139,11 +127,6 @@ class Limbs:
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, matrix.ravel())
         return quaternion, rates, matrix.T @ self._gravity
-
-    def energy(self) -> float:
-        """Kinetic and potential energy of the limbs [J]."""
-        place, speed = self._freedoms.all(self.position), self._freedoms.spread @ self.velocity
-        return float(pinocchio.computeMechanicalEnergy(self.model, self.data, place, speed))
 
 
 class _Freedoms:
@@ -308,7 +291,7 @@ class Floor:
         self._servos, self._imu = servos, imu
 
     def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
-        """At rest."""
+        """At rest in the full MuJoCo position."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self.data)
@@ -328,7 +311,7 @@ class Floor:
             raise FloatingPointError
 
     def trunk(self) -> tuple[Array, Array, Array]:
-        """What an IMU without errors says."""
+        """What an IMU without errors says; as of `Limbs`."""
         assert self._imu is not None
         attitude, gyro, force = self._imu
         said = self.data.sensordata

@@ -28,7 +28,7 @@ from op3.stand_in.hidden import ALIAS_PAIRS, BASES, CATALOGUE, KINDS, OUTSIDERS,
 from op3.stand_in.play import play
 from op3.stand_in.stand_in_robot import StandIn
 from op3.stand_in.suites import SETTINGS, Setting
-from op3.stand_in.world import BENCH_RANGES, HiddenWorld, Ranges
+from op3.stand_in.world import BENCH_RANGES, HiddenWorld, Ranges, check_seed
 
 CASE_KINDS: tuple[str, ...] = ("single", "pair", "null", "outsider", "poor")
 """One catalogue effect; two; none; an out-of-catalogue effect; one effect with a poor excitation."""
@@ -121,7 +121,6 @@ def draw_case(
     kind: str = "single",
     severity: str = "clear",
     effect: str | None = None,
-    scale: float = 1.0,
     ranges: Ranges = BENCH_RANGES,
     *,
     robot: str,
@@ -133,7 +132,6 @@ def draw_case(
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`; null cases have none.
         effect: hide this one (singles, outsiders, poor cases, and the first of a pair); drawn if None.
-        scale: factor on every hidden size, 0 for a robot that differs from this case in nothing else.
         ranges: of the robots' numbers.
         robot: key of `SETTINGS`.
     """
@@ -144,13 +142,12 @@ def draw_case(
     ):
         if value not in known:
             raise ValueError(f"there is no {name} {value!r} of a case; choose {', '.join(known)}")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"the seed of a case must be a whole number of at least 0, got {seed!r}")
+    check_seed("the seed of a case", seed)
     rng = np.random.default_rng([int(seed), 40])
     joints, places, mirror, law = _places(robot)
     bases = BASES if law == PLAIN_BASE else {}
     names = _names(rng, kind, effect, bases)
-    hidden = tuple(_hide(rng, name, SEVERITIES[severity] * scale, places, mirror) for name in names)
+    hidden = tuple(_hide(rng, name, SEVERITIES[severity], places, mirror) for name in names)
     missing = next((name for name in names if name in bases), None)
     if missing is None and rng.random() < LESS_SHARE and bases:
         missing = str(rng.choice(list(bases)))
@@ -231,9 +228,7 @@ def _places(robot: str) -> tuple[tuple[str, ...], Places, dict[str, str], str | 
     loaded = tuple(name for name, torque in zip(joints, load, strict=True) if torque >= LOADED)
     far = tuple(name for name, links in zip(joints, depth, strict=True) if links >= min(3, max(depth)))
     known = scene.robot_file
-    mirror = {name: entry.mirror for name, entry in known.file.joints.items() if entry.mirror}
-    mirror |= {partner: name for name, partner in mirror.items()}
-    return joints, {"any": joints, "loaded": loaded or joints, "far": far}, mirror, known.file.law
+    return joints, {"any": joints, "loaded": loaded or joints, "far": far}, known.partners, known.file.law
 
 
 def _load_and_depth(scene: Scene) -> tuple[Array, list[int]]:

@@ -151,13 +151,6 @@ class HiddenServos:
         return self.states["current"] + self.servos["current_offset"]
 
     @property
-    def duty(self) -> Array:
-        """Voltage over the motors as a share of the supply [joint]."""
-        states, servos = self.states, self.servos
-        volts = servos["resistance"] * states["current"] + states["gain"] * states["velocity"]
-        return np.clip(volts / self.voltage, -1, 1)
-
-    @property
     def voltage(self) -> Array:
         """What the servos get [joint] in V."""
         return self.robot["bus_voltage"] * self.servos["supply_share"]
@@ -185,7 +178,7 @@ class HiddenServos:
         own = self.servos["position_gain"] > 0
         states["by_voltage"], states["goal"] = own, np.where(own, position, 0.0)
         states["followed"] = position
-        states["enabled"], states["limit"] = 1.0, np.inf
+        states["enabled"] = 1.0
         states["noise"] = self.world.torque_noise * rng.standard_normal(len(states))
         states["drift_phase"] = rng.uniform(0, 2 * np.pi, len(states))
         self.robot["time"], self.robot["day_time"], self.robot["ticks"] = 0.0, day_time, 0.0

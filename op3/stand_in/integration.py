@@ -43,7 +43,7 @@ position_gain max_duty goal_speed position_unit supply_share
 encoder_offset encoder_bend encoder_phase encoder_form velocity_time velocity_form slower_time slower_form
 """
 _STATE = """
-position velocity acceleration torque transmitted current goal duty limit by_voltage enabled late_1 late_2
+position velocity acceleration torque transmitted current goal duty by_voltage enabled late_1 late_2
 bristle noise rest_time gear_position gear_velocity slack yielded temperature air gain reach dry static drift_phase out
 velocity_1 velocity_2 velocity_3 followed
 """
@@ -133,7 +133,7 @@ def drive(p, s, voltage: float, velocity: float, step: float) -> None:
     """Advance the current: towards the goal as the sensor reads it, within what the voltage allows."""
     induced = s.gain * velocity / p.resistance
     if s.by_voltage > 0:
-        goal = min(max(s.duty * voltage / p.resistance - induced, -s.limit), s.limit)
+        goal = s.duty * voltage / p.resistance - induced
     else:
         goal = s.goal
     if s.enabled == 0 or s.out > 0:

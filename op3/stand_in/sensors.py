@@ -10,11 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from op3.robot.register_units import (
-    ACCELERATION_UNIT,
-    ANGLE_UNIT,
-    GYRO_UNIT,
-)
+from op3.robot.kinematics import roll_pitch_yaw
+from op3.robot.register_units import ACCELERATION_UNIT, ANGLE_UNIT, GYRO_UNIT
 from op3.stand_in.integration import TICK
 from op3.stand_in.world import HiddenWorld
 
@@ -37,7 +34,6 @@ class Sensors:
         orientation: [3] roll, pitch, yaw in rad, R = Rz(yaw) Ry(pitch) Rx(roll); None without an IMU.
         angular_velocity: [3] in rad/s in the trunk's frame; None without an IMU.
         linear_acceleration: [3] specific force in m/s^2 in the trunk's frame; None without an IMU.
-        duty: [joint] of the drivers, -1 to 1, where it is read.
     """
 
     position: Array
@@ -48,21 +44,11 @@ class Sensors:
     orientation: Array | None = None
     angular_velocity: Array | None = None
     linear_acceleration: Array | None = None
-    duty: Array | None = None
 
 
 def quantise(value: Array, unit: float | Array) -> Array:
     """The nearest whole number of units."""
     return np.round(value / unit) * unit
-
-
-def roll_pitch_yaw(quaternion: Array) -> Array:
-    """Roll, pitch and yaw [rad] of R = Rz(yaw) Ry(pitch) Rx(roll) from a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.array([roll, pitch, yaw])
 
 
 class Imu:

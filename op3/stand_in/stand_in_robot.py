@@ -27,12 +27,12 @@ from op3.scenes import (
     tile_ids,
 )
 from op3.scenes.scene import Scene
-from op3.stand_in.bodies import Bodies, Floor, Limbs, change_body
+from op3.stand_in.bodies import Floor, Limbs, change_body
 from op3.stand_in.hidden_servos import HiddenServos
 from op3.stand_in.integration import TICK
 from op3.stand_in.play import play
 from op3.stand_in.sensors import Imu, Sensors, quantise
-from op3.stand_in.world import HiddenWorld
+from op3.stand_in.world import HiddenWorld, check_seed
 
 BOARD_EVERY = 8
 """Ticks between two set points of a board's drive; the board moves smoothly in between."""
@@ -44,7 +44,7 @@ class StandIn:
     """A robot whose truth is hidden behind its sensors.
 
     `play` records a motion as a computer on the robot would. Below it lies what a bus needs: `reset`,
-    `write_current`, `write_drive`, `advance`, `read_sensors`.
+    `write_current`, `enable`, `advance`, `read_sensors`.
 
     Args:
         world: the truth.
@@ -55,7 +55,8 @@ class StandIn:
 
     def __init__(self, world: HiddenWorld, scene: Scene, *, seed: int = 0):
         self._world, self.hidden = world, world.hidden
-        self.seed = _whole("seed", seed)
+        check_seed("seed", seed)
+        self.seed = int(seed)
         self.scene = scene
         self.joints: tuple[str, ...] = tuple(str(joint.name) for joint in self.scene.joints)
         self.known = self.scene.robot_file
@@ -75,7 +76,7 @@ class StandIn:
         self._model = model
         self._has_imu = self.scene.robot is not None and self.known.file.imu is not None
         if self.scene.floating:
-            self._bodies: Bodies = Floor(model, self.servos, names, self._imu_places())
+            self._bodies: Floor | Limbs = Floor(model, self.servos, names, self._imu_places())
         else:
             mount = (0.0 if self.known.file.fixed else world.mount_frequency, world.mount_damping)
             self._bodies = Limbs(model, self.servos, names, mount)
@@ -241,17 +242,9 @@ class StandIn:
         own = self.servos.servos["position_gain"] > 0  # whose goal is an angle [rad]
         self._arrivals.append((arrival, np.where(own, goal, goal.clip(-self._current_limit, self._current_limit))))
 
-    def write_drive(self, enabled: ArrayLike, by_voltage: ArrayLike, duty: ArrayLike, limit: ArrayLike) -> None:
-        """What the drivers do from now on besides regulating current; all [joint].
-
-        Args:
-            enabled: whether the motor is driven at all; otherwise it runs free.
-            by_voltage: whether the driver applies a voltage instead.
-            duty: that voltage as a share of the supply, -1 to 1.
-            limit: current in A that such a driver does not exceed.
-        """
-        states = self.servos.states
-        states["enabled"], states["by_voltage"], states["duty"], states["limit"] = enabled, by_voltage, duty, limit
+    def enable(self, enabled: ArrayLike) -> None:
+        """Whether the motors are driven from now on [joint]; otherwise they run free."""
+        self.servos.states["enabled"] = enabled
 
     def send(self, current: ArrayLike) -> None:
         """A command of the computer on the robot: in whole units, under way for a while, and lost at times."""
@@ -381,9 +374,3 @@ _UNITS: dict[str, Callable[[ServoMake], float]] = {
     "temperature": lambda make: make.unit("temperature") if make.counts.temperature else 1.0,
 }
 """One unit of every register; a fine one for currents and temperatures that servos do not report."""
-
-
-def _whole(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise ValueError(f"{name} must be a whole number of at least 0, got {value!r}")
-    return int(value)

@@ -65,6 +65,12 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
     return ranges
 
 
+def check_seed(what: str, seed: Any) -> None:
+    """Refuse a seed that is not a whole number of at least 0."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"{what} must be a whole number of at least 0, got {seed!r}")
+
+
 @settings("world")
 class HiddenWorld:
     """The truth of one robot and the ground it stands on.
@@ -195,8 +201,7 @@ class HiddenWorld:
     @classmethod
     def random(cls, seed: int, ranges: Ranges | None = None) -> HiddenWorld:
         """A world drawn from ranges, those of Table I if None; what is not named there is as in `HiddenWorld()`."""
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise ValueError(f"the seed of a random world must be a whole number of at least 0, got {seed!r}")
+        check_seed("the seed of a random world", seed)
         rng = np.random.default_rng([seed, 2])
         drawn: dict[str, Any] = {
             name: str(rng.choice(of)) if name in FORMS else float(rng.uniform(of[0], of[1]))

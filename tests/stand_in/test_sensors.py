@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from op3.robot import quaternion
+from op3.robot.kinematics import roll_pitch_yaw
 from op3.robot.register_units import ACCELERATION_UNIT, GYRO_UNIT
 from op3.stand_in import HiddenWorld
-from op3.stand_in.sensors import Imu, quantise, roll_pitch_yaw
+from op3.stand_in.sensors import Imu, quantise
 
 QUIET = HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, accelerometer_noise=0.0)
 LEVEL = np.array([1.0, 0, 0, 0])

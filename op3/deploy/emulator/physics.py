@@ -90,7 +90,7 @@ class StandInPhysics(StandIn):
 
     def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
         """See `Physics`."""
-        self.write_drive(enabled, by_voltage=False, duty=0.0, limit=np.inf)
+        self.enable(enabled)
         self.write_current(current)
 
     def advance(self, duration: float) -> None:

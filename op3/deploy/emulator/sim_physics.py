@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from op3.deploy.emulator.physics import PERIOD
 from op3.robot import RobotEntity
+from op3.robot.kinematics import roll_pitch_yaw
 from op3.robot.register_units import GRAVITY
 from op3.scenes import BoardMotion, WeightSchedule, board_drive, place_tiles, tile_ids
 from op3.scenes.scene import Scene
 from op3.servo import RobotModel, Stage, Trunk
 from op3.servo.effects import Motor
 from op3.sim import BatchSimulation, attach_servos
-from op3.stand_in.sensors import Sensors, roll_pitch_yaw
+from op3.stand_in.sensors import Sensors
 
 Array = NDArray[np.float64]
 
