@@ -127,22 +127,13 @@ class RobotEntity(composer.Entity):
         return self._find("site", self.robot.file.imu or "IMU")
 
     @property
-    def imu_orientation(self) -> mjcf.Element:
-        """Sensor of the IMU's orientation in the world, quaternion (w, x, y, z)."""
-        return self._find("sensor", "imu_orientation")
+    def imu_sensors(self) -> list[mjcf.Element]:
+        """Sensors of the IMU's orientation in the world, a quaternion (w, x, y, z), and in its own frame of the angular
+        velocity [rad/s] and the specific force [m/s^2], +g upwards at rest.
 
-    @property
-    def imu_gyro(self) -> mjcf.Element:
-        """Sensor of the angular velocity in the IMU's frame [rad/s]."""
-        return self._find("sensor", "imu_gyro")
-
-    @property
-    def imu_accelerometer(self) -> mjcf.Element:
-        """Sensor of the specific force in the IMU's frame [m/s^2]: +g upwards at rest.
-
-        On a fixed base it reads zero in MuJoCo; see `Scene.mounted_specific_force`.
+        On a fixed base the last reads zero in MuJoCo; see `Scene.mounted_specific_force`.
         """
-        return self._find("sensor", "imu_accelerometer")
+        return [self._find("sensor", name) for name in IMU_SENSORS]
 
     def _find(self, kind: str, name: str) -> mjcf.Element:
         element = self._mjcf_root.find(kind, name)

@@ -112,8 +112,7 @@ class StandIn:
         robot = self.scene.robot
         if robot is None or not self._has_imu:
             return None
-        elements = (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer)
-        return [int(self._model.sensor(element.full_identifier).adr[0]) for element in elements]
+        return [int(self._model.sensor(element.full_identifier).adr[0]) for element in robot.imu_sensors]
 
     @property
     def time(self) -> float:

@@ -60,7 +60,7 @@ class Addresses:
             base,
             None if free is None else int(free.qposadr[0]),
             None if free is None else int(free.dofadr[0]),
-            None if imu is None else int(model.sensor(entity.imu_accelerometer.full_identifier).adr[0]),
+            None if imu is None else int(model.sensor(entity.imu_sensors[2].full_identifier).adr[0]),
             int(model.sensor(entity.self_contact.full_identifier).adr[0]),
             np.array([int(model.sensor(name).adr[0]) for name in ankles], dtype=np.int64),
             points.reshape(feet, -1) if feet else points.reshape(0, 0),

@@ -130,8 +130,7 @@ class Rig:
 
     def packets(self) -> list[tuple[float, Packet]]:
         """Time and content of every packet that the computer sent."""
-        assert self.robot.recorder is not None
-        self.robot.recorder._file.flush()
+        self.robot.bus._file.flush()
         found = []
         for frame in read_frames(self.frames_file):
             if frame.direction == ">":

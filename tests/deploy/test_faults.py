@@ -314,8 +314,7 @@ def test_limits_that_contradict_each_other_are_refused():
 def test_a_position_that_jumps_ends_the_run_within_a_tick(tmp_path, counts, jump):
     """A counter that loses a turn, or is reset: torque off before the next tick, and servo and jump are named."""
     rig = faulty(tmp_path)
-    index = JOINTS.index("l_knee")
-    rig.robot.at(START, lambda: rig.robot._zero.__setitem__(index, rig.robot._zero[index] + counts))
+    rig.robot.at(START, lambda: rig.robot.servos["l_knee"].put("homing_offset", counts))
     outcome = go(rig, folder=tmp_path / "logs")
     assert outcome.code == ExitCode.POSITION_JUMP
     assert "position of l_knee jumped by " + jump[:5] in outcome.reason

@@ -24,8 +24,7 @@ KINDS = {
 
 def ticks_of(rig):
     """Of each whole tick: time of its first byte, what was said in order, counts read by joint, goals written."""
-    rig.robot.bus.finish_recording()
-    rig.robot.recorder._file.flush()
+    rig.robot.bus.close()
     ticks, asked = [], []
     for frame in read_frames(rig.frames_file):
         if frame.direction == "<":

@@ -24,7 +24,7 @@ from op3.deploy.emulator.faults import (
     Unplug,
 )
 from op3.deploy.emulator.instructions import Dispatcher
-from op3.deploy.emulator.line import FrameRecorder, Line, LineTiming
+from op3.deploy.emulator.line import Line, LineTiming
 from op3.deploy.emulator.physics import PERIOD, Physics
 from op3.deploy.emulator.servo import BOOT_TIME, WATCHDOG_ERROR, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
@@ -81,10 +81,10 @@ class EmulatedRobot:
 
     Args:
         settings: EEPROM registers of all servos by name, instead of `USUAL_SETTINGS`.
+        record: file for all frames on the line; None for none.
 
     Attributes:
         open_cr: the OpenCR; it also exists, but not on the bus, for a robot without one.
-        driven: which motors regulate a current; the others run free [joint].
 
     Raises:
         ValueError: if the robot has servos that this bus does not support, or a fault names no device of it.
@@ -116,31 +116,25 @@ class EmulatedRobot:
         devices: list[Device] = [*self._all, *([self.open_cr] if board else [])]
         self.faults.check_on([device.id for device in devices])
         self._dispatcher = Dispatcher(devices, timing.turnaround, self._hears)
-        self.recorder = None if record is None else FrameRecorder(record)
         self.clock = EmulatedClock(self.advance)
-        self.bus = Line(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), self.recorder)
+        self.bus = Line(self._answers, timing, self.faults, np.random.default_rng([seed, 6]), record)
         self.time = self._refreshed = self._heard = 0.0
         self._ticks = 0
         self._stale = self._board_stale = True
-        self.unplugged = self._powered = self._known = False
+        self.unplugged = self._powered = False
         self._silent: dict[int, float] = {}
         self._heat: dict[int, tuple[float, float]] = {}
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
-        for servo in self._all:
-            servo.changed = self._forget
-        self._reconsider()
         self._schedule_faults()
         self.at(CHECK_PERIOD, self._check_servos)
         if not board:
             self.switch_on()
 
     def close(self) -> None:
-        """Finish the recording of frames, if there is one."""
-        if self.recorder is not None:
-            self.bus.finish_recording()
-            self.recorder.close()
+        """Finish the file of frames, if there is one."""
+        self.bus.close()
 
     def check_plugged(self) -> None:
         """Fail as pyserial does where the plug has been pulled."""
@@ -190,28 +184,15 @@ class EmulatedRobot:
             self._measure(packet)
         self._heard = end
         answers = self._dispatcher.answers(packet, end)
-        self._reconsider()
         if self.open_cr.power != self._powered:
             self._switch(self.open_cr.power)
         return answers
 
-    def _forget(self) -> None:
-        """Registers have changed; an instruction may change hundreds, so what depends on them is looked up later."""
-        self._known = False
-
-    def _reconsider(self) -> None:
-        """Look up what depends on registers that have changed."""
-        if self._known:
-            return
-        self._known = True
-        column = self._column
-        running = (column("torque_enable") != 0) & (column("operating_mode") == CURRENT_MODE)
-        self.driven = running & (column("bus_watchdog") != WATCHDOG_ERROR)
-        self._dispatcher.relist()
-        self._booted = np.array([round(servo.booted / PERIOD) for servo in self._all])
-        self._zero = POSITION_ZERO + column("homing_offset")
-        self._limits = [column(name) for name in ("temperature_limit", "min_voltage_limit", "max_voltage_limit")]
-        self._watchdog = min((servo.watchdog for servo in self._all if servo.torque), default=inf)
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """Which motors regulate a current; the others run free [joint]."""
+        running = (self._column("torque_enable") != 0) & (self._column("operating_mode") == CURRENT_MODE)
+        return running & (self._column("bus_watchdog") != WATCHDOG_ERROR)
 
     def _column(self, name: str) -> NDArray[np.int64]:
         """A register of all servos, [joint]."""
@@ -243,11 +224,6 @@ class EmulatedRobot:
         return min(self._heard, self._silent.get(servo.id, inf))
 
     def _next_trip(self) -> float:
-        self._reconsider()
-        if self._watchdog == inf:
-            return inf
-        if not self._silent:
-            return self._heard + self._watchdog
         return min((self._last_heard(servo) + servo.watchdog for servo in self._all if servo.torque), default=inf)
 
     def _trip(self, now: float) -> None:
@@ -274,10 +250,12 @@ class EmulatedRobot:
         self._stale, self._refreshed = False, self.time
         readings, present = self.physics.read(), self._present
         units = self._units
-        present["realtime_tick"] = (self._ticks - self._booted) % 32768
+        booted = np.array([round(servo.booted / PERIOD) for servo in self._all])
+        zero = POSITION_ZERO + self._column("homing_offset")
+        present["realtime_tick"] = (self._ticks - booted) % 32768
         present["present_current"] = np.rint(readings.current / units.current)
         present["present_velocity"] = np.rint(readings.velocity / units.velocity)
-        present["present_position"] = np.rint(readings.position / units.position) + self._zero
+        present["present_position"] = np.rint(readings.position / units.position) + zero
         present["present_input_voltage"] = np.rint(readings.voltage / units.voltage)
         present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
         self._memory[:, _FIRST:_LAST] = present.view(np.uint8).reshape(len(self._all), -1)
@@ -300,7 +278,8 @@ class EmulatedRobot:
             self._stale = True
             self._refresh()
         volts, celsius = self._present["present_input_voltage"], self._present["present_temperature"]
-        hot, odd = celsius > self._limits[0], (volts < self._limits[1]) | (volts > self._limits[2])
+        hot = celsius > self._column("temperature_limit")
+        odd = (volts < self._column("min_voltage_limit")) | (volts > self._column("max_voltage_limit"))
         for index in np.flatnonzero(hot | odd):
             servo = self._all[index]
             error = HardwareError.OVERHEATING * int(hot[index]) | HardwareError.INPUT_VOLTAGE * int(odd[index])

@@ -49,15 +49,12 @@ class Dispatcher:
 
     def __init__(self, devices: Sequence[Device], turnaround: float, hears: Callable[[Device], bool]):
         self._devices, self._turnaround, self._hears = devices, turnaround, hears
-        self.relist()
-
-    def relist(self) -> None:
-        """Look up the devices' ids, after one may have changed."""
-        self._by_id = {device.id: device for device in reversed(self._devices)}
+        self._by_id: dict[int, Device] = {}
 
     def answers(self, packet: Packet, now: float) -> list[Answer]:
         """Carry out an instruction at a time [s]."""
         instruction, parameters = packet.instruction, packet.parameters
+        self._by_id = {device.id: device for device in reversed(self._devices)}
         if instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
             return self._chain(_reads(instruction, parameters))
         if instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ):

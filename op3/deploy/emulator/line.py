@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, inf
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TextIO
 
 import numpy as np
 from pydantic import Field
@@ -62,25 +62,8 @@ class Frame:
     data: bytes
 
 
-class FrameRecorder:
-    """Writes frames to a new text file, ``<time in s> <direction> <bytes in hexadecimal>``."""
-
-    def __init__(self, path: str | Path):
-        self.path = Path(path)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self.path.open("w", encoding="ascii")
-
-    def write(self, time: float, direction: Direction, data: bytes) -> None:
-        """Add a frame."""
-        self._file.write(f"{time:.7f} {direction} {data.hex(' ')}\n")
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._file.close()
-
-
 def read_frames(path: str | Path) -> list[Frame]:
-    """The frames of a file that `FrameRecorder` wrote.
+    """The frames of a file that a `Line` wrote.
 
     Raises:
         ValueError: naming the line that is not a frame.
@@ -97,12 +80,22 @@ def read_frames(path: str | Path) -> list[Frame]:
     return frames
 
 
+def _new_file(path: Path) -> TextIO:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.open("w", encoding="ascii")
+
+
 Answers = Callable[[Packet, float], list[tuple[float, bytes]]]
 """Handles an instruction that ends at a time [s]; returns the pauses before the answers [s], and the answers."""
 
 
 class Line:
-    """The line, the adapter and what is under way on them; `rng` decides about faults."""
+    """The line, the adapter and what is under way on them.
+
+    Args:
+        rng: decides about faults.
+        record: new file for all frames, ``<time in s> <direction> <bytes in hexadecimal>``; None for none.
+    """
 
     def __init__(
         self,
@@ -110,11 +103,11 @@ class Line:
         timing: LineTiming,
         faults: Faults,
         rng: np.random.Generator,
-        recorder: FrameRecorder | None,
+        record: str | Path | None,
     ):
         self.baud = 1_000_000
         self.timing, self.faults = timing, faults
-        self._answers, self._rng, self._recorder = answers, rng, recorder
+        self._answers, self._rng, self._file = answers, rng, None if record is None else _new_file(Path(record))
         self._parser = Parser()
         self._host_ends = self._devices_end = self._flushed = self._deadline = self._held_until = 0.0
         self._spoken: list[tuple[float, bytes]] = []
@@ -130,13 +123,15 @@ class Line:
         if begin - self._host_ends > self.timing.quiet:
             self._parser.reset()
         self._host_ends = end
-        if begin < self._devices_end:
+        collides = begin < self._devices_end
+        if collides:
             # two speakers at once: nobody understands this, and what the devices were saying is cut off
             self._cut(begin)
-            self._record(begin, data)
             self._parser.reset()
+        self.flush_frames()
+        self._write_frame(begin, ">", data)
+        if collides:
             return
-        self._record(begin, data)
         for packet in self._parser.feed(data):
             if self.faults.unheard and self._rng.random() < self.faults.unheard:
                 continue
@@ -148,7 +143,7 @@ class Line:
     def _speak(self, begin: float, answer: bytes, byte_time: float) -> float:
         """A device answers; returns when it ends."""
         heard = self._spoil(answer, begin) if self.faults.spoiling else answer
-        if self._recorder is not None and heard:
+        if self._file is not None and heard:
             self._spoken.append((begin, heard))
         self._receive(begin, heard, byte_time)
         return begin + len(answer) * byte_time
@@ -211,22 +206,21 @@ class Line:
         whole = [(begin, int((time - begin) * self.baud / BITS_PER_BYTE + 1e-6), data) for begin, data in self._spoken]
         self._spoken = [(begin, data[:count]) for begin, count, data in whole if count > 0]
 
-    def _record(self, begin: float, data: bytes) -> None:
-        if self._recorder is not None:
-            self.finish_recording()
-            self._recorder.write(begin, ">", data)
+    def _write_frame(self, begin: float, direction: Direction, data: bytes) -> None:
+        if self._file is not None:
+            self._file.write(f"{begin:.7f} {direction} {data.hex(' ')}\n")
 
-    def finish_recording(self) -> None:
+    def flush_frames(self) -> None:
         """Write the answers that have been on the line since the last instruction."""
-        if self._recorder is not None:
-            for begin, data in self._spoken:
-                self._recorder.write(begin, "<", data)
+        for begin, data in self._spoken:
+            self._write_frame(begin, "<", data)
         self._spoken.clear()
 
-    @property
-    def busy_until(self) -> float:
-        """When the line falls silent [s]."""
-        return max(self._host_ends, self._devices_end)
+    def close(self) -> None:
+        """Finish the file of frames, if there is one."""
+        if self._file is not None:
+            self.flush_frames()
+            self._file.close()
 
     @property
     def next_arrival(self) -> float:

@@ -6,7 +6,6 @@ the plausible behaviours, and marked (inferred). Only current control drives the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf
 
 from op3.deploy.emulator.device import Device
@@ -40,7 +39,6 @@ class Servo(Device):
     Attributes:
         watchdog: time without packets after which the servo frees itself [s]; infinite while it is off.
         booted: when it last got power or was told to reboot [s].
-        changed: called when registers have changed, but for goal currents.
     """
 
     def __init__(self, device_id: int, index: int, model: int, settings: dict[str, int]):
@@ -52,7 +50,6 @@ class Servo(Device):
             self.put(name, value)
         self.index, self.booted = index, 0.0
         self.ready = self.watchdog = inf
-        self.changed: Callable[[], None] = lambda: None
         self._places: dict[tuple[int, int], list[int]] = {}
 
     @property
@@ -79,24 +76,18 @@ class Servo(Device):
                 self.put(register.name, register.initial)
         self.put("goal_current", self.get("current_limit"))
         self.watchdog = inf
-        self._tell()
+        self._places.clear()
 
     def fail(self, error: int) -> None:
         """A hardware error: it stays until a reboot, and shuts the servo down if `shutdown` says so."""
         self.memory[_HARDWARE_ERROR] |= error
         if self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
             self.memory[_TORQUE] = 0
-        self._tell()
 
     def trip(self) -> None:
         """The bus has been silent for too long: free-running, with goals that are read-only until it is cleared."""
         self.put("bus_watchdog", WATCHDOG_ERROR)
         self.watchdog = inf
-        self._tell()
-
-    def _tell(self) -> None:
-        self._places.clear()
-        self.changed()
 
     def _pointed(self, address: int, end: int) -> list[int]:
         """Where these addresses point: those of indirect data elsewhere, all others at themselves."""
@@ -150,4 +141,4 @@ class Servo(Device):
             self.put("goal_current", self.get("current_limit"))
         elif register.name == "bus_watchdog":
             self.watchdog = value * WATCHDOG_UNIT if value else inf
-        self._tell()
+        self._places.clear()

@@ -119,7 +119,7 @@ class SimPhysics(BatchSimulation):
 
     def _find_imu(self, robot: RobotEntity) -> None:
         views = []
-        for element in (robot.imu_orientation, robot.imu_gyro, robot.imu_accelerometer):
+        for element in robot.imu_sensors:
             sensor = self.batch.model.sensor(element.full_identifier)
             first, width = int(sensor.adr[0]), int(sensor.dim[0])
             views.append(self._sensors[0, first : first + width].numpy())

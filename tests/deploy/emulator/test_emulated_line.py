@@ -37,7 +37,7 @@ def tick(bench, address=126, length=10):
     assert reader.txRxPacket() == 0
     assert bench.packets.readTxRx(bench.port, 200, 32, 18)[1] == 0
     assert writer.txPacket() == 0
-    return max(bench.clock.now(), bench.robot.bus.busy_until) - start
+    return max(bench.clock.now(), bench.robot.bus._host_ends) - start
 
 
 @pytest.mark.parametrize(
