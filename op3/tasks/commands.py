@@ -39,6 +39,8 @@ class Velocity:
         turn_share: probability of turning on the spot.
         straight_share: probability of moving without turning.
         single_share: probability of one of the three numbers alone: forward, sideways or turning on the spot.
+        forward_share: probability of walking straight forwards at more than half of the greatest speed; the other
+            shares are of the remaining commands. A curriculum may lower it from 1.
         scale: factor on all ranges, which a curriculum may raise from 0 to 1.
         corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: draws
             outside the ellipsoid of the ranges are scaled back to it. A curriculum may raise it.
@@ -58,6 +60,7 @@ class Velocity:
         turn_share: float = 0.0,
         straight_share: float = 0.0,
         single_share: float = 0.0,
+        forward_share: float = 0.0,
         scale: float = 1.0,
         corners: float = 1.0,
     ):
@@ -72,7 +75,7 @@ class Velocity:
             names = "zero_share, turn_share, straight_share and single_share"
             raise ValueError(f"{names} must be at least 0 and at most 1 together, got {shares}")
         self._times, self._shares = times, np.cumsum(shares)
-        self.scale, self.corners = scale, corners
+        self.forward_share, self.scale, self.corners = forward_share, scale, corners
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
         self._count = ceil(duration / times[0]) + 1
         self._interval, self._shift = torch.full((2, num_envs), times[0], dtype=torch.float64)
@@ -92,6 +95,10 @@ class Velocity:
             others = np.arange(3) != generator.integers(3, size=(self._count, 1))
             drawn[kind == 1, :2] = drawn[kind == 2, 2] = drawn[kind == 0] = 0.0
             drawn[(kind == 3)[:, None] & others] = 0.0
+            if self.forward_share > 0.0:
+                ahead = generator.random(self._count) < self.forward_share
+                speed = self._high[0] * self.scale * generator.uniform(0.5, 1.0, self._count)
+                drawn[ahead] = np.stack([speed, *np.zeros((2, self._count))], 1)[ahead]
             self._schedule[row] = torch.from_numpy(drawn)
 
     def at(self, time: Tensor) -> Tensor:

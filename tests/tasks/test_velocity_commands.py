@@ -58,3 +58,14 @@ def test_each_episode_holds_its_commands_for_its_own_time():
     for wrong in ([3.0, 2.0], 0.0, [1.0, 2.0, 3.0]):
         with pytest.raises(ValueError, match="interval must be above 0 s, or a least and a greatest time"):
             Velocity(1, 10.0, **RANGES, interval=wrong)
+
+
+def test_a_share_of_the_commands_is_to_walk_straight_ahead():
+    """At more than half of the greatest speed; the other shares are of the rest."""
+    command = Velocity(1, 4000.0, **RANGES, zero_share=0.5, forward_share=0.6)
+    command.begin(Episodes(np.array([0]), np.array([3]), np.zeros((1, 1)), np.zeros((1, 1))))
+    drawn = torch.stack([command.at(torch.tensor([2.0 * i])) for i in range(1900)])[:, 0]
+    ahead = (drawn[:, 0] > 0.15) & (drawn[:, 1:] == 0).all(1)
+    assert ahead.double().mean() == pytest.approx(0.6, abs=0.03)
+    assert drawn[ahead, 0].max() <= 0.3
+    assert (drawn == 0).all(1).double().mean() == pytest.approx(0.2, abs=0.03)
