@@ -56,7 +56,7 @@ def test_a_joint_that_lets_go_for_a_while_is_told(joint, falls, swings, first, l
     """By its own motion at other times, and because the others go on: it stands, falls or swings."""
     findings = examine(log(TARGET, let_go(POSITION, joint, first, last, falls, swings)))
     assert {one.column for one in findings} == {f"joint_{joint}.position"}
-    (found,) = (one for one in findings if one.check == "lets go")
+    (found,) = (one for one in findings if one.check == "torque lost")
     assert "its torque was off, or it was blocked" in found.problem
     assert found.rows is not None
     assert first - 25 <= found.rows[0] < found.rows[1] <= last + 40
@@ -69,7 +69,7 @@ def test_a_joint_that_should_stand_and_hangs_is_told(first, last):
     target[:, 1:3] = 0.2
     position[:, 1], position[:, 2] = 0.18, 0.2 + 0.1 * np.sin(2 * TIME)
     (found,) = examine(log(target, let_go(position, 1, first, last, 0.3)))
-    assert (found.check, found.column) == ("lets go", "joint_1.position")
+    assert (found.check, found.column) == ("torque lost", "joint_1.position")
     assert found.rows is not None
     assert first - 25 <= found.rows[0] < found.rows[1] <= last + 40
 
@@ -81,20 +81,20 @@ def test_a_servo_that_gives_no_current_is_told_by_that():
     current = gain * (TARGET - position)
     current[400:440, 1] = 0.0
     found = examine(log(TARGET, position, command__p_gain=gain, joint__current=current))
-    assert [(one.check, one.column) for one in found] == [("lets go", "joint_1.position")]
-    assert "the servo had let go" in found[0].problem
+    assert [(one.check, one.column) for one in found] == [("torque lost", "joint_1.position")]
+    assert "the servo had no torque" in found[0].problem
     assert not examine(log(TARGET, POSITION, command__p_gain=gain, joint__current=gain * (TARGET - POSITION)))
 
 
 def test_what_moves_all_joints_is_no_joint_that_lets_go():
     """A push, or steps that every joint follows as fast as it can."""
     pushed = POSITION + 0.3 * np.exp(-(((TIME - 6) / 0.2) ** 2))[:, None]
-    assert not [one for one in examine(log(TARGET, pushed)) if one.check == "lets go"]
+    assert not [one for one in examine(log(TARGET, pushed)) if one.check == "torque lost"]
     steps = 0.4 * np.sign(np.sin(0.9 * TIME[:, None] + np.arange(4)))
     angle = np.zeros_like(steps)
     for row in range(1, len(steps)):
         angle[row] = angle[row - 1] + 0.12 * (steps[row - 1] - angle[row - 1])
-    assert not [one for one in examine(log(steps, angle)) if one.check == "lets go"]
+    assert not [one for one in examine(log(steps, angle)) if one.check == "torque lost"]
 
 
 def arm_log(offset: float, gain: float = 4.0) -> Rollout:
@@ -122,8 +122,8 @@ def test_an_unknown_robot_may_sag():
     position = POSITION.copy()
     position[:, 1] += 0.4
     (found,) = examine(log(TARGET, position))
-    assert "where it is not what the joint carries" in found.problem
-    assert "what it carries changes with the pose" in found.remedy
+    assert "unless the joint's load causes it" in found.problem
+    assert "the effect of a load changes with the pose" in found.remedy
 
 
 @pytest.mark.parametrize("friction", [0.01, 0.03, 0.06])
@@ -175,7 +175,7 @@ def test_a_side_with_its_signs_turned_round_is_named():
     assert not [one for one in examine(sound) if one.check == "limits of the robot"]
     (found,) = (one for one in examine(wrong) if one.check == "limits of the robot")
     assert found.column == "r_knee.position"
-    assert "by their partners so are those of r_hip_pitch, r_ank_pitch" in found.problem
+    assert "compared with their mirror joints, r_hip_pitch, r_ank_pitch are reversed too" in found.problem
 
 
 def test_percent_of_a_gripper_among_radians_are_named():
@@ -194,7 +194,7 @@ def test_a_joint_that_turns_on_is_read():
     finer = log(target, position, ("tilt",), joint__position=position)
     found = [one for one in examine(finer) if one.check == "bounds"]
     assert {one.severity for one in found} == {WARNING}
-    assert any("goes there without a jump" in one.problem for one in found)
+    assert any("is reached without a jump" in one.problem for one in found)
 
 
 @pytest.mark.parametrize(("volts", "told"), [(7.4, False), (8.4, False), (12.0, True), (24.0, True)])
@@ -238,5 +238,5 @@ def test_benches_of_real_servos_let_nothing_go():
     paths = [path for kind in sorted(SERVO_BENCH.iterdir()) if kind.is_dir() for path in expand(kind)[::8]]
     found = [one for path in paths for log in read_episodes(path, check=False) for one in examine(log)]
     assert not [
-        one.error(None) for one in found if one.check in ("lets go", "constant offset", "supply and temperature")
+        one.error(None) for one in found if one.check in ("torque lost", "constant offset", "supply and temperature")
     ]

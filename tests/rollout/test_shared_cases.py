@@ -56,8 +56,20 @@ LIMP = ("joint: l_knee\n", "channel: position\n")
 KNEE = {"l_knee": 0.914, "r_knee": 0.914}
 VARIANT = ("it is another variant of the sts3215",)
 IMPORTS = [
-    Import("bench_supply_12", "run.json", {"servo": 1.559}, ("12 V supply a sts3215", *VARIANT), seconds=5.99),
-    Import("bench_supply_24", "run.json", {"servo": 1.559}, ("24 V supply a sts3215", *VARIANT), seconds=5.99),
+    Import(
+        "bench_supply_12",
+        "run.json",
+        {"servo": 1.559},
+        ("the supply is 12 V, but the file of the sts3215", *VARIANT),
+        seconds=5.99,
+    ),
+    Import(
+        "bench_supply_24",
+        "run.json",
+        {"servo": 1.559},
+        ("the supply is 24 V, but the file of the sts3215", *VARIANT),
+        seconds=5.99,
+    ),
     Import("csv_computed_velocity", "run.csv", {"servo": 0.58}, ("joints servo\n", "joint/velocity"), silent=True),
     Import("csv_counts_by_id", "run.csv", ARM, silent=True, robot="arm"),
     Import("csv_dynamixel_wizard", "run.csv", says=("write `unit: counts of 0.229 rpm` for it under `columns:`",)),
@@ -72,7 +84,7 @@ IMPORTS = [
         spans={
             f"{side}_{name}": span for side in ("left", "right") for name, span in {**ARM, "gripper": 0.025}.items()
         },
-        says=("a gain of 16 to the servos", "every row has the numbers of left_shoulder_pan.position"),
+        says=("a gain of 16 to the servos", "every value equals that of left_shoulder_pan.position"),
         seconds=7.97,
     ),
     Import("lerobot_degrees_with_calibration", "", {**ARM, "gripper": 0.025}, ("unit: deg",), True, 7.97),
@@ -85,13 +97,13 @@ IMPORTS = [
     ),
     Import("lerobot_old_calibration", "", ARM, ("deg: the calibration says so",), True, 7.97),
     Import("npz_sysid_torque", "run.npz", says=("as a torque does", "name the command <joint>.load")),
-    Import("op3_knee_limp", "run.csv", KNEE, (*LIMP, "the servo had let go"), seconds=4.99),
+    Import("op3_knee_limp", "run.csv", KNEE, (*LIMP, "the servo had no torque"), seconds=4.99),
     Import("op3_knee_limp_current_velocity", "run.csv", KNEE, (*LIMP, "its torque was off"), seconds=4.99),
     Import(
         "op3_right_side_mirrored",
         "run.csv",
         KNEE,
-        ("joint: r_knee\n", "its sign turned round", "r_sho_pitch, r_sho_roll, r_el, r_hip_pitch", "near 0"),
+        ("joint: r_knee\n", "with the sign reversed", "r_sho_pitch, r_sho_roll, r_el, r_hip_pitch", "close to 0"),
         seconds=4.99,
     ),
     Import("ros_leader_follower", "", ARM, silent=True),

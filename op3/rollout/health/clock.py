@@ -34,10 +34,10 @@ def jumps(view: View) -> Found:
         across, usual = np.abs(table[row] - table[row - 1]).sum(), np.median(beside)
         text = f"time jumps from {before:.10g} s to {now:.10g} s"
         if now - before > 60 or (usual > 1e-3 and across < 3 * usual):
-            text += " while the motion goes on: the clock was set here"
+            text += " while the motion continues: the clock was set here"
         else:
             missing = round(float(now - before) / view.interval) - 1
-            text += f": about {missing} rows are missing, and nothing can be computed across the hole"
+            text += f": about {missing} rows are missing, and nothing can be computed across the gap"
         yield view.found("time", text, _SPLIT, row, error=True)
 
 
@@ -55,7 +55,7 @@ def rate(view: View) -> Found:
         for name in (name for size, name in _UNITS.items() if 0.9 < interval * size / said < 1.1):
             remedy = f"that is the interval in {name}; write rate: {1 / interval:.4g}"
     elif not _SLOWEST < 1 / interval < _FASTEST:
-        problem = f"the median interval of {interval:.6g} s is that of no robot"
+        problem = f"the median interval of {interval:.6g} s is implausible for a robot"
         unit = _unit(1 / interval, _SLOWEST, _FASTEST)
         fast = {1e-3: ("a thousand", "milliseconds"), 1e-6: ("a million", "seconds")}
         for times, name in (how for size, how in fast.items() if _SLOWEST < size / interval < _FASTEST):
@@ -76,17 +76,17 @@ def uneven(view: View) -> Found:
     third, longest = len(steps) // 3, float(steps.max())
     lost, short = 1 - usual * len(steps) / float(steps.sum()), float((steps < 0.5 * usual).mean())
     change = float(np.median(steps[-third:]) / np.median(steps[:third]))
-    remedy = "record with a clock that keeps its rate, and look what loses rows"
+    remedy = "record with a steady clock, and find out what drops rows"
     if (long := steps > 4 * usual).mean() > 0.02:
         problem = f"{long.sum()} intervals are over four times the usual {usual:.4g} s, up to {longest:.4g} s"
     elif not 1 / _CHANGE < change < _CHANGE:
-        problem = f"the intervals become {change:.2g} times as long in the course of the recording"
-        remedy = "look whether the clock or the rate was changed"
+        problem = f"the intervals become {change:.2g} times as long during the recording"
+        remedy = "check whether the clock or the rate was changed"
     elif lost > 0.05 and (np.abs(steps / usual - np.round(steps / usual)) < 0.25).mean() > 0.9:
-        problem = f"about {lost:.0%} of the rows are missing, singly"
+        problem = f"about {lost:.0%} of the rows are missing, one at a time"
     elif short > 0.05:
         problem = f"{short:.0%} of the intervals are shorter than half the usual {usual:.4g} s"
-        remedy = "stamp rows when they are read, not when they are written"
+        remedy = "timestamp rows when they are read, not when they are written"
     elif (8.5 if np.quantile(steps, 0.98) > 1.2 * usual else 4.5) * usual < longest <= GAP:  # what is longer is a hole
         problem = f"about {round(longest / usual) - 1} rows are missing before this one"
     else:
@@ -114,30 +114,30 @@ def repeated(view: View) -> Found:
     heeded = slice(first, max(last - round(0.1 / view.interval), first) + 1)
     commanded = np.ptp(view.command[heeded], axis=0).max() > 0.02  # else they may all have stood
     if fast or (commanded and out > max(5 * moving, 0.03 * length * view.interval)):
-        problem = f"all sensors keep their numbers for {length + 1} rows, while the robot moves"
-        remedy = "leave these rows out; the recorder had no new reading"
+        problem = f"all sensors keep the same values for {length + 1} rows, while the robot moves"
+        remedy = "remove these rows: the recorder had no new readings"
         yield view.found("time", problem, remedy, first, last, error=True)
 
 
 @check("stale readings")
 def stale(view: View) -> Found:
-    """A position, or a sensor of the trunk, gets new numbers only in every so many rows: it was read more rarely."""
-    remedy = "read it in every row, or record fewer rows"
+    """A position, or a sensor of the trunk, gets new values only every so many rows: it was read more rarely."""
+    remedy = "read it in every row, or record at the lower rate"
     trunk = {key: _new_in_every(view.log.array(key)) for key in (ORIENTATION, RATE, FORCE) if key in view.log}
     rarely = {key: every for key, every in trunk.items() if every >= 3}
     if rarely and len(rarely) == len(trunk):
-        problem = f"the trunk's sensors have new numbers only in every {min(rarely.values())} rows"
+        problem = f"the trunk's sensors have new values only every {min(rarely.values())} rows"
         yield view.found("imu", problem, remedy)
     for key, every in rarely.items() if len(rarely) < len(trunk) else ():
-        problem = f"the {key[1].replace('_', ' ')} has new numbers only in every {every} rows"
+        problem = f"the {key[1].replace('_', ' ')} has new values only every {every} rows"
         yield view.found((key, 0), problem, remedy)
     if _new_in_every(view.position) == 2 and np.ptp(view.position, axis=0).max() > 0.2:
-        yield view.found("time", "positions have new numbers only in every second row", remedy)
+        yield view.found("time", "positions have new values only every second row", remedy)
     for key, joint, column in view.columns(POSITION):
         jumps, every = np.diff(column), _new_in_every(column[:, None])
         # a slow joint changes by one step of its encoder at a time
         if every >= 3 and np.median(np.abs(jumps[jumps != 0])) > 4 * view.steps(key)[joint]:
-            yield view.found((key, joint), f"the position has a new number only in every {every} rows", remedy)
+            yield view.found((key, joint), f"the position has a new value only every {every} rows", remedy)
 
 
 def _new_in_every(values: np.ndarray) -> int:
@@ -155,7 +155,7 @@ def two_clocks(view: View) -> Found:
         return
     most = third // 2
     lags = np.arange(max(round(_AHEAD / period), -most), min(round(_LONGEST / period), most))
-    remedy = "stamp both by one clock, or cut the log into short parts"
+    remedy = "timestamp both with one clock, or cut the log into short parts"
     usual = (lags * period > -0.05) & (lags * period < _USUAL)
 
     def clearest(*parts: slice) -> tuple[int, list[np.ndarray]]:
@@ -174,7 +174,7 @@ def two_clocks(view: View) -> Found:
         other = all(c[n] > 4 * c.min() + 0.02 for c, n in zip(ends, (last, first), strict=True))
         if other and abs(lags[last] - lags[first]) * period > 0.15:
             problem = f"the position follows the command by {lags[first] * period:.2f} s at the beginning and "
-            problem += f"{lags[last] * period:.2f} s at the end: they were stamped by clocks that run apart"
+            problem += f"{lags[last] * period:.2f} s at the end: their timestamps come from clocks that drift apart"
             yield view.found((POSITION, joint), problem, remedy)
             return
     joint, curves = clearest(slice(None))

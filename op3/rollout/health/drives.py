@@ -45,7 +45,9 @@ def drive(view: View) -> Found:
         # a sensor's zero: what the law leaves on average, where it explains nearly all
         far = np.abs(zero) > np.maximum(_ZERO, 0.02 * np.abs(values).max(0))
         for joint in np.flatnonzero(known & clear & ~off & far & (key == CURRENT)):
-            problem = f"current is {zero[joint]:+.2g} A off gain times error on average: its sensor has another zero"
+            problem = (
+                f"current differs from gain times error by {zero[joint]:+.2g} A on average: its sensor has an offset"
+            )
             if abs(zero[joint]) > 5 * _ZERO and gain is not None:  # no sensor is so far off
                 problem += f", or the position one of {zero[joint] / float(np.median(gain[rows, joint])):+.2g} rad"
             yield view.found((key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")
@@ -57,8 +59,8 @@ def drive(view: View) -> Found:
             cause = f", as if p_gain were {1 / usual:.3g} times what it is"
         for problem, wrong, remedy in (
             (f"{key[1]} has lost its sign", signless, "record it with its sign"),
-            (f"{key[1]} drives away from the target", away, "turn its sign round"),
-            (f"{key[1]} is {usual:.3g} times gain times error{cause}", off, "look at its unit and the gain's"),
+            (f"{key[1]} drives the joint away from its target", away, "reverse its sign"),
+            (f"{key[1]} is {usual:.3g} times gain times error{cause}", off, "check its unit and that of the gain"),
         ):
             # what most joints show that show anything is the channel's, not a joint's
             all_of_them = 2 * wrong.sum() > (sure > 0.5).sum() and wrong.sum() > 1
@@ -70,7 +72,7 @@ def drive(view: View) -> Found:
         for joint, other in whose.items():  # of those that were exchanged none is its own; copies are another check's
             if fits[joint][other] > 0.5 and other in whose:
                 problem = f"{key[1]} is that of {view.joints[other]}"
-                yield view.found((key, joint), problem, "swap the columns back", aside=True)
+                yield view.found((key, joint), problem, "swap the columns", aside=True)
 
 
 def _law(values: np.ndarray, wanted: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

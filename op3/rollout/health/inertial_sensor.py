@@ -41,15 +41,15 @@ def _by_angles(order: Sequence[int], signs: Sequence[int]) -> dict[str, Callable
     """The angles in another order and with other signs, by which of them that concerns."""
     names = ("roll", "pitch", "yaw")
     where = " and ".join(n for i, n in enumerate(names) if order[i] != i or signs[i] < 0)
-    how = f"the sign of {where} were turned round" if min(signs) < 0 else f"{where} were swapped"
+    how = f"the sign of {where} were reversed" if min(signs) < 0 else f"{where} were swapped"
     return {how: lambda angles: _rotation(angles[:, list(order)] * np.array(signs))} if where else {}
 
 
 _READ: dict[str, Callable[[np.ndarray], Rotation]] = {
     "its angles were in degrees": lambda angles: _rotation(np.deg2rad(angles)),
-    "it were the world's in the body's frame": lambda angles: _rotation(angles).inv(),
-    "the parts of its quaternion (x, y, z, w) had been written as w, x, y, z": _by_parts((1, 2, 3, 0)),
-    "the parts of its quaternion (w, x, y, z) had been written as x, y, z, w": _by_parts((3, 0, 1, 2)),
+    "it were that of the world in the body's frame": lambda angles: _rotation(angles).inv(),
+    "the components of its quaternion (x, y, z, w) had been written as w, x, y, z": _by_parts((1, 2, 3, 0)),
+    "the components of its quaternion (w, x, y, z) had been written as x, y, z, w": _by_parts((3, 0, 1, 2)),
 }
 for _signs in itertools.product((1, -1), repeat=3):
     _READ |= _by_angles((0, 1, 2), _signs)
@@ -77,8 +77,8 @@ def orientation(view: View) -> Found:
     tried = {how: misfits(read) for how, read in _READ.items()} if rest >= 0.5 else {}
     for how in sorted(tried, key=lambda how: sum(tried[how]))[:1]:
         if tried[how][0] < 0.1 and tried[how][1] < 0.5 * off:
-            problem = f"gyroscope and accelerometer agree, and the orientation would with both if {how}"
-            remedy = "write roll, pitch and yaw of the body in rad, in a frame whose z points up"
+            problem = f"gyroscope and accelerometer agree; the orientation would agree with them if {how}"
+            remedy = "write roll, pitch and yaw of the body in rad, in a frame whose z axis points up"
             yield view.found((ORIENTATION, 0), problem, remedy, error=True)
 
 
@@ -87,7 +87,7 @@ def gyroscope(view: View) -> Found:
     """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero; without an orientation,
     unit and sign show in how gravity turns in the trunk."""
     rate, (first, last, span), force = view.log.array(RATE), view.windows, view.get(FORCE)
-    angles, axes, near, what = view.get(ORIENTATION), 3, 0.05, "change of orientation per second"
+    angles, axes, near, what = view.get(ORIENTATION), 3, 0.05, "derivative of the orientation"
     if angles is None and force is not None and len(first) >= 8:  # roll and pitch are those of gravity, roughly
         down = np.median(force[:, 2]) < 0  # which another check reports
         x, y, z = (uniform_filter1d(-axis if down else axis, max(1, int(last[0] - first[0]))) for axis in force.T)
@@ -98,7 +98,7 @@ def gyroscope(view: View) -> Found:
     read, turns = np.ptp(turned_by_gyroscope(view), axis=0), np.ptp(np.unwrap(angles, axis=0), axis=0)
     shaken = (read > _HELD[1]) & held(view) & (turns.max() < _HELD[0]) | (read > 8 * turns + 2)
     for axis in np.flatnonzero(shaken[:axes]):
-        problem = f"the gyroscope turns by {read[axis]:.2g} rad to and fro, and the trunk by {turns[axis]:.2g} rad"
+        problem = f"the gyroscope swings by {read[axis]:.2g} rad, but the trunk turns by only {turns[axis]:.2g} rad"
         yield view.found((RATE, axis), problem, _unit_of_rates(None))
     if len(first) < 8:
         return
@@ -106,8 +106,8 @@ def gyroscope(view: View) -> Found:
     turned, world = view.summed(rate), _rotation(angles[first]).apply(body)
     of_body, of_world = (float(((turned - x) ** 2).sum() / max((x**2).sum(), 1e-12)) for x in (body, world))
     if axes == 3 and of_world < 0.1 and of_body > max(3 * of_world, 0.1):
-        problem = "the gyroscope turns as the trunk does in the frame of the world"
-        yield view.found((RATE, 0), problem, "turn the rates into the body's frame", error=True)
+        problem = "the gyroscope's rates are in the frame of the world"
+        yield view.found((RATE, 0), problem, "rotate the rates into the body's frame", error=True)
         return
     fit, bias = match(turned, body), np.median(turned - body, axis=0) / span
     moving = fit.size_b > np.maximum(4 * view.steps(ORIENTATION) if axes == 3 else 0.0, 0.03 * span)
@@ -117,7 +117,7 @@ def gyroscope(view: View) -> Found:
         least, most = (0.5, 2.0) if abs(own) < 0.97 else (0.75, 1.35)
         swapped = abs(other[whose]) > 0.9 and 1 - abs(other[whose]) < 0.1 * (1 - abs(own))
         if moving[axis] and abs(own) > 0.9 and not least < ratio < most and (axes == 3 or error):
-            turns_round = " with the sign turned round" if abs(ratio + 1) < 0.3 else ""
+            turns_round = " with the sign reversed" if abs(ratio + 1) < 0.3 else ""
             cause = turns_round or as_if(("it", ratio, "rad/s"), tolerance=near)
             problem = f"the gyroscope reads {ratio:.3g} times the {what}{cause}"
             remedy = _unit_of_rates(likely_unit(ratio, "rad/s", near))
@@ -125,14 +125,14 @@ def gyroscope(view: View) -> Found:
             continue
         elif moving[axis] and swapped and abs(fit.ratio[whose, axis]) > 0.5:
             shown, error = f"{'-' if other[whose] < 0 else ''}{'xyz'[whose]}", True
-            problem = f"turning about {'xyz'[axis]} shows as {shown} of the gyroscope: its axes are swapped"
-            remedy = "rename the axes, or turn the sensor's frame into the body's"
+            problem = f"rotation about {'xyz'[axis]} appears as {shown} of the gyroscope: its axes are swapped"
+            remedy = "rename the axes, or rotate the readings into the body's frame"
         elif moving[axis] and abs(own) < 0.5:
             problem = f"the gyroscope does not follow the change of orientation (correlation {own:.2f})"
-            remedy, error = "look which of them is late, or another sensor's", False
+            remedy, error = "check whether one of them is delayed or from another sensor", False
         elif abs(bias[axis]) > _DRIFT and not shaken[axis]:
-            problem = f"the gyroscope is {bias[axis]:+.3g} rad/s off the change of orientation on average"
-            remedy, error = "look at its unit and its bias, and whether yaw drifts", False
+            problem = f"the gyroscope differs from the change of orientation by {bias[axis]:+.3g} rad/s on average"
+            remedy, error = "check its unit, its bias, and whether yaw drifts", False
         else:
             continue
         yield view.found((RATE, axis), problem, remedy, error=error)
@@ -140,7 +140,7 @@ def gyroscope(view: View) -> Found:
 
 def _unit_of_rates(unit: str | None) -> str:
     how = f"write `unit: {unit}`" if unit else "write `unit:` or `sign:`"
-    return f"{how} for all axes that have it under `columns:` in the YAML, also those that hardly turned"
+    return f"{how} for all affected axes under `columns:` in the YAML, including those that hardly turned"
 
 
 @check("gravity", FORCE, unless="orientation")
@@ -166,24 +166,24 @@ def gravity(view: View) -> Found:
     if size <= 0.5 or (known and np.linalg.norm(mean + _STANDARD * (np.array([0, 0, 1]) - expected)) < 1):
         for index in range(3):
             remedy = "record it with gravity; until then it is not used"
-            yield view.found((FORCE, index), f"{problem}: gravity was taken out of it", remedy, aside=True)
+            yield view.found((FORCE, index), f"{problem}: gravity was subtracted from it", remedy, aside=True)
         return
     if not (7 if falls else 8.5) < size < 11.5:
-        problem, remedy = f"{problem}, and gravity alone is 9.81", "look at its scale and offset"
+        problem, remedy = f"{problem}, but gravity alone is 9.81", "check its scale and offset"
     elif angles is None and mean[2] < -8:
         problem, where = f"gravity reads {mean[2]:.3g} m/s2 upwards, as if the trunk hung upside down", (FORCE, 2)
-        remedy = "write `sign: -1` for all of its axes under `columns:` in the YAML, where it does not"
+        remedy = "if it does not, write `sign: -1` for all its axes under `columns:` in the YAML"
     elif known and mean[2] > 5 and expected[2] < -0.5:
         problem = (
-            f"the orientation says that the trunk hangs upside down, and the accelerometer reads {mean[2]:.3g} m/s2 "
+            f"the orientation says that the trunk hangs upside down, but the accelerometer reads {mean[2]:.3g} m/s2 "
         )
-        problem += "upwards: as if the parts of a quaternion were taken in another order (w, x, y, z or x, y, z, w)"
-        remedy, where, error = "read the orientation again", (ORIENTATION, 0), True
+        problem += "upwards: as if the components of a quaternion were in another order (w, x, y, z or x, y, z, w)"
+        remedy, where, error = "correct the orientation", (ORIENTATION, 0), True
     elif apart > (0.4 if falls else _TILTED):
-        problem = f"gravity lies along {np.round(mean / size, 2)}, and the orientation says {np.round(expected, 2)}"
+        problem = f"gravity lies along {np.round(mean / size, 2)}, but the orientation says {np.round(expected, 2)}"
         where, error = (FORCE, axis), _apart(rest @ mean, expected) < min(0.3, 0.4 * apart)
         problem += f": {done}" if error else f", {apart:.2g} rad apart: the sensor is tilted in the trunk"
-        remedy = "turn the sensor's readings by as much into the body's frame"
+        remedy = "rotate the sensor's readings by this angle into the body's frame"
         remedy = "write `sign: -1` for these under `columns:` in the YAML, or rename the axes" if error else remedy
         error &= "all" in done
     else:
@@ -200,13 +200,13 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Found:
     fit = match(view.summed(force) / span, view.summed(_STANDARD * up) / span)
     across, own, leans = fit.correlation[[0, 1], [1, 0]], np.diagonal(fit.correlation)[:2], fit.size_b[:2] > 0.3
     if np.abs(across).min() > 0.7 and np.abs(own).max() < 0.5 and leans.all():
-        problem = "x rises and falls as gravity does in y, and y as it does in x: the two axes are swapped"
-        yield view.found((FORCE, 0), problem, "exchange them under `columns:` in the YAML")
+        problem = "x changes as gravity should in y, and y as it should in x: the two axes are swapped"
+        yield view.found((FORCE, 0), problem, "swap them under `columns:` in the YAML")
         return
     # its own accelerations hide gravity in part, and never turn it round
     for axis in np.flatnonzero(leans & (own < -0.3)):
-        problem = f"it falls where the trunk leans so that gravity rises in it (correlation {own[axis]:.2f}): "
-        problem += f"{'xy'[axis]} has its sign turned round"
+        problem = f"it decreases where the trunk's lean should increase it (correlation {own[axis]:.2f}): "
+        problem += f"the sign of {'xy'[axis]} is reversed"
         yield view.found((FORCE, axis), problem, "write `sign: -1` for it under `columns:` in the YAML")
 
 
@@ -218,8 +218,8 @@ def mount(view: View) -> Found:
     moved = float(np.quantile(np.ptp(view.position, axis=0), 0.75))
     still = np.ptp(view.time) > 5 and moved > 0.3 and turned < _HELD[0] and held(view)
     if where == "stand" and turned > _HELD[1]:
-        problem = f"the trunk turns by {turned:.2g} rad, which it does not where it hangs on a stand"
-        yield view.found("field mount", problem, "write `mount: floor`, or what it stands on")
+        problem = f"the trunk turns by {turned:.2g} rad, more than it could on a stand"
+        yield view.found("field mount", problem, "write `mount: floor`, or the ground that it stands on")
     elif where not in ("stand", "pendulum") and still:
         problem = f"the trunk turns by {turned:.2g} rad while joints move by {moved:.2g} rad, as if it were held"
         yield view.found("field mount", problem, "write `mount: stand`")

@@ -37,7 +37,7 @@ def lost_turns(view: View) -> Found:
             count = abs(int(turns[row, joint]))
             count = "one turn" if count == 1 else f"{count} turns"
             problem = f"{name} jumps by {count} ({steps[row, joint]:+.3f} rad) at row {row + 2}"
-            remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to move its zero as well"
+            remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to shift its zero as well"
             yield view.found((key, joint), problem, remedy, row + 1, error=True)
 
 
@@ -55,9 +55,11 @@ def copied(view: View) -> Found:
         # a velocity is no copy where it is that of its position
         wrong = [j for j in (index, first) if key == VELOCITY and delayed(view.speed[:, j], column, 0) <= 0.5]
         for joint in wrong or [index]:
-            problem = f"every row has the numbers of {view.name(key, first + index - joint)}"
+            problem = f"every value equals that of {view.name(key, first + index - joint)}"
             error, aside = key == POSITION and not twins, key != POSITION
-            yield view.found((key, joint), problem, "look which of the two it is", aside=aside, error=error)
+            yield view.found(
+                (key, joint), problem, "check which of the two joints the values belong to", aside=aside, error=error
+            )
 
 
 @check("command instead of position", rows=20)
@@ -68,7 +70,7 @@ def not_measured(view: View) -> Found:
     late = [(np.abs(angle[n:] - target[: len(target) - n]) <= rounding * (n < 3)).all(0) for n in range(8)]
     same = np.any(late, axis=0) & (np.ptp(target, axis=0) > 0.05) & view.driven.any(0)
     for joint in np.flatnonzero(same) if view.metadata.robot != "simulated" else ():  # which may follow exactly
-        problem, remedy = "every row has the number of the command", "record the present position, not the goal"
+        problem, remedy = "every value equals the command", "record the present position, not the goal"
         yield view.found((POSITION, joint), problem, remedy, aside=not same.all(), error=bool(same.all()))
 
 
@@ -85,8 +87,8 @@ def unsigned(view: View) -> Found:
             apart = np.where(signed, counts - 2**bit, counts).max() < least * 2 ** (bit - 1)
             if signed.any() and not signed.all() and apart and (bit == 15 or (not error and column.min() >= 0)):
                 which = "the highest of 16 bits" if bit == 15 else f"bit {bit}"
-                problem = f"numbers from {column[signed].min():.6g} on have their sign in {which}"
-                remedy, row = "read sign and size apart", signed.argmax()
+                problem = f"values from {column[signed].min():.6g} on carry their sign in {which}"
+                remedy, row = "decode sign and magnitude separately", signed.argmax()
                 wrong = error and bit == 15
                 yield view.found((key, index), problem, remedy, row, aside=not wrong, error=wrong)
         for bits in (16, 32):
@@ -95,8 +97,8 @@ def unsigned(view: View) -> Found:
             mixed = not high.all() and not (counts[~high] > 2**bits * 0.1).any() and counts.max() < 2**bits
             if (error and shifted) if high.all() else (high.any() and mixed):
                 number = np.median(column) if high.all() else column[high].max()
-                problem = f"numbers near {number:.6g} are negative ones of a {bits}-bit register"
-                remedy, row = "read the register with its sign", high.argmax()
+                problem = f"values near {number:.6g} are negative values of a {bits}-bit register"
+                remedy, row = "read the register as a signed number", high.argmax()
                 yield view.found((key, index), problem, remedy, row, aside=not error, error=error)
 
 
@@ -131,9 +133,9 @@ def spikes(view: View) -> Found:
             row = int(size.argmax()) + 1
             often = sent and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
             if size[row - 1] > least and not often:
-                problem = f"{'a target' if sent else 'a single reading'} of {column[row]:.4g} stands between "
+                problem = f"{'a target' if sent else 'a single reading'} of {column[row]:.4g} lies between "
                 problem += f"{column[row - 1]:.4g} and {column[row + rows]:.4g}"
-                remedy, aside = "leave the row out", not (sent or angle)
+                remedy, aside = "remove the row", not (sent or angle)
                 remedy += "; until then the channel is not used" if aside else ""
                 yield view.found((key, index), problem, remedy, row, row + rows - 1, aside=aside)
                 break
@@ -153,8 +155,8 @@ def zeros(view: View) -> Found:
             gone = (values[1:-1] == 0) & near & (before * after > 0)
             for joint in np.flatnonzero(gone.sum(0) > 2).tolist():
                 rows = gone[:, joint].sum()
-                problem = f"it is 0 in {rows} single rows, and not beside them: nothing was read there, or sent"
-                remedy, aside = "leave these rows out", key == VELOCITY
+                problem = f"it is 0 in {rows} single rows but not next to them: nothing was read or sent there"
+                remedy, aside = "remove these rows", key == VELOCITY
                 remedy += "; until then the channel is not used" if aside else ""
                 yield view.found((key, joint), problem, remedy, gone[:, joint].argmax() + 1, aside=aside)
         elif values.shape[1] > 1:
@@ -163,5 +165,5 @@ def zeros(view: View) -> Found:
             lost = [(a, b) for a, b in inside if min(away[a - 1], away[b]) > least]
             for index in range(1 if key == POSITION else values.shape[1]) if lost else ():
                 rows = sum(b - a for a, b in lost)
-                problem = f"all of it is 0 in {rows} rows, and not beside them: nothing was read there"
-                yield view.found((key, index), problem, "leave these rows out", lost[0][0], lost[0][1] - 1)
+                problem = f"all its values are 0 in {rows} rows but not next to them: nothing was read there"
+                yield view.found((key, index), problem, "remove these rows", lost[0][0], lost[0][1] - 1)

@@ -38,16 +38,16 @@ def beyond_limits(view: View) -> Found:
     out, back = (((x < low - 0.1) | (x > high + 0.1)).mean(0) for x in (table, -table))
     mirrored = [name for name, share, other in zip(names, out, back, strict=True) if share > 0.5 and other < 0.05]
     for at in np.flatnonzero(out > 0.5):
-        problem = f"{out[at]:.0%} of the positions lie outside {low[at]:.2f} to {high[at]:.2f} rad, where "
-        problem, remedy = f"{problem}{known.name} ends", "look at its sign and its zero"
+        problem = f"{out[at]:.0%} of the positions lie outside {low[at]:.2f} to {high[at]:.2f} rad, the limits of "
+        problem, remedy = f"{problem}{known.name}", "check its sign and its zero"
         if names[at] in mirrored:
-            problem += f"; with its sign turned round they would not{_turned_round(known, angles, mirrored)}"
+            problem += f"; with the sign reversed they would be inside{_turned_round(known, angles, mirrored)}"
             remedy = "write `sign: -1` for positions, targets, velocities and currents of these joints"
         yield view.found((POSITION, view.joints.index(names[at])), problem, remedy)
 
 
 def _turned_round(robot: Robot, angles: dict[str, np.ndarray], wrong: list[str]) -> str:
-    """Which other joints of the same sides stand as their partners' mirror images with the sign turned round, and which
+    """Which other joints of the same sides stand as their partners' mirror images with the sign reversed, and which
     stand too near to 0 to say, in words."""
     sides, turned, unseen = {name.split("_")[0] for name in wrong}, [], []
     for name in (n for n in angles if n in robot.joints and n not in wrong and n.split("_")[0] in sides):
@@ -59,8 +59,8 @@ def _turned_round(robot: Robot, angles: dict[str, np.ndarray], wrong: list[str])
             unseen.append(name)
         elif abs(mean + other) < 0.3 * abs(mean - other):
             turned.append(name)
-    text = f", and by their partners so are those of {', '.join(turned)}" if turned else ""
-    return text + (f" ({', '.join(unseen)} stand too near 0 to say)" if turned and unseen else "")
+    text = f"; compared with their mirror joints, {', '.join(turned)} are reversed too" if turned else ""
+    return text + (f" ({', '.join(unseen)} are too close to 0 to decide)" if turned and unseen else "")
 
 
 @check("constant offset", rows=20, unless="position against command")
@@ -98,13 +98,13 @@ def constant_offset(view: View) -> Found:
         if dead or yields or not odd:
             continue
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
-        cause = "its sign is turned round" if mirrored else "another zero, or a homing offset in the servo"
+        cause = "its sign is reversed" if mirrored else "a different zero, or a homing offset in the servo"
         how = "sign: -1" if mirrored else f"offset: {-offset:.4g}"
         remedy = f"write `{how}` for its position under `columns:` in the YAML, or correct it in the servo"
         if np.isnan(sag) and not mirrored:
-            cause += ", where it is not what the joint carries"
-            remedy += "; what it carries changes with the pose, and a zero does not"
-        problem = f"the joint stands {offset:+.3f} rad off its command in every pose: {cause}"
+            cause += ", unless the joint's load causes it"
+            remedy += "; the effect of a load changes with the pose, that of a zero does not"
+        problem = f"the joint is {offset:+.3f} rad from its command in every pose: {cause}"
         yield view.found((POSITION, joint), problem, remedy)
 
 
@@ -155,10 +155,10 @@ def coarse(view: View) -> Found:
             elif steps[joint] > least or (decimal and parts > 1):
                 problem, remedy = f"{usual:.4g} or less", "write them with more digits"
             elif abs(parts / whole - 1) > 0.03 and not decimal:
-                problem, remedy = f"{count:.4g}: scaled, or another servo's", "look at their unit"
+                problem, remedy = f"{count:.4g}: scaled, or from another servo", "check their unit"
             else:
                 continue
-            problem = f"the numbers come in steps of {steps[joint]:.4g}, where a servo's are {problem}"
+            problem = f"the values come in steps of {steps[joint]:.4g}; a servo's are {problem}"
             yield view.found((key, joint), problem, remedy, error=bool(unit))
 
 
@@ -187,11 +187,11 @@ def bounds(view: View) -> Found:
             alone = (most > quantity.bound).sum() == 1 < len(most) - 1
             rarely = wrong[:, index].mean() < _RARELY and most[index] < 4 * np.pi
             if angles and rarely and np.abs(np.diff(column)).max() < _SMOOTH:
-                likely, remedy, error = "goes there without a jump", "look whether its unit is the radian", False
+                likely, remedy, error = "is reached without a jump", "check whether its unit is the radian", False
             elif single:
-                likely, remedy = "stands there in single rows", "leave these rows out"
+                likely, remedy = "occurs in single rows only", "remove these rows"
             elif angles and alone and column.min() >= -1 and quantity.bound < column.max() <= 101:
-                likely = "looks like percent of a gripper's opening, as no other joint is"
+                likely = "looks like percent of a gripper's opening, since no other joint is"
                 remedy = "write its range in rad over 100 as `unit:` of the column under `columns:` in the YAML"
             elif "degrees" in likely and "per second" not in likely and most[index] > 360 and not (column % 1).any():
                 likely = "looks like counts of an encoder"
@@ -230,9 +230,9 @@ def impossible_speed(view: View) -> Found:
         returns = at > 0 and abs(steps[at - 1, joint] + steps[at, joint]) < 0.3 * abs(steps[at, joint])
         at = at - 1 if returns else at
         problem = f"position jumps by {steps[at, joint]:+.3f} rad in one row, faster than a servo moves"
-        remedy = "leave out the row, or repair the encoder or the bus"
+        remedy = "remove the row, or repair the encoder or the bus"
         sent, near = np.abs(np.diff(view.command[:, joint])), slice(max(at - 10, 0), at + 10)
         if not returns and sent[near].max() == sent[at] > 5 * np.median(sent[near]) > 0:
-            problem += ", and its command with it: rows are missing there, and the times do not say so"
-            remedy = "look for lost rows, and write the times that were measured"
+            problem += ", and so does its command: rows are missing there without a gap in the times"
+            remedy = "find the lost rows, and record the measured times"
         yield view.found((POSITION, joint), problem, remedy, at + 1, error=True)

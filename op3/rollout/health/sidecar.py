@@ -27,7 +27,7 @@ def plausible(view: View) -> Found:
         value = getattr(view.metadata, name)
         if value is None or least <= value <= most:
             continue
-        problem, remedy = f"{value:g} {unit} cannot be", f"write {name} in {unit}"
+        problem, remedy = f"{value:g} {unit} is impossible", f"write {name} in {unit}"
         likely = plausible_unit(value, unit, typical)
         if likely and least <= likely[1] <= most:
             problem += f"; {value:g} {likely[0]} would be {likely[1]:.4g} {unit}"
@@ -74,9 +74,9 @@ def servo(view: View) -> Found:
     makes = {make.name for make in view.log.servos if make is not None} if view.metadata.robot_file else set()
     if view.make is None:
         known = {alias: make for make in servo_files() for alias in (make, *load_servo(make).aliases)}
-        there = f"known are {', '.join(servo_files())}, and a new one is one file in assets/servos"
+        there = f"there are {', '.join(servo_files())}; a new one is one file in assets/servos"
         remedy = rename(name, known, there)
-        yield view.found("field servo", f"nothing is known of a servo {name!r}", remedy)
+        yield view.found("field servo", f"there is no servo {name!r}", remedy)
     elif makes and view.make.name not in makes:
         problem = f"the servo is {name} in the metadata, and {view.metadata.robot_file} has {', '.join(sorted(makes))}"
         yield view.found("field servo", problem, "correct one of them")
@@ -103,9 +103,11 @@ def weight(view: View) -> Found:
     causes = np.column_stack([mean[:, 1:], view.turned(speed)[used]])
     pushed = float(fitted(causes, mean[:, 0])[0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
     if np.ptp(mean[:, 1]) > 0.3 and not _WEIGHS[0] < pushed < _WEIGHS[1]:
-        problem = f"the servo pushes with {pushed:.2g} times what {about.mass:g} kg at {about.length:g} m weigh, by a "
+        problem = (
+            f"the servo's torque is {pushed:.2g} times the weight of {about.mass:g} kg at {about.length:g} m, by its "
+        )
         problem += f"gain of {np.median(view.log.array(('command', 'firmware_gain'))):g} at {supply:g} V"
-        yield view.found("field mass", problem, "look at mass, length, firmware_gain, battery and servo")
+        yield view.found("field mass", problem, "check mass, length, firmware_gain, battery and servo")
 
 
 @check("few rows")
@@ -123,12 +125,12 @@ def gains(view: View) -> Found:
         if column is None or said is None or (np.abs(column - said) <= 1e-6 * max(1.0, said)).any():
             continue
         problem = f"{name} is {said:g} in the metadata and {column[0, 0]:g} in the column"
-        remedy = "correct one of them; without the column the metadata's counts for every row"
+        remedy = "correct one of them; without the column, the metadata apply to every row"
         yield view.found((("command", name), 0), problem, remedy, 0, error=True)
     p, d = (0.0 if (gain := view.get(key)) is None else np.median(gain) for key in (P_GAIN, D_GAIN))
     if 0 < p < d:
         problem = f"the D gains (median {d:g} A s/rad) are above the P gains ({p:g} A/rad): a joint would take over a "
-        problem += "second to follow; as if the columns were exchanged"
+        problem += "second to follow; the columns may be swapped"
         yield view.found((P_GAIN, 0), problem, "swap the columns, or convert the gains to SI")
 
 
@@ -143,9 +145,11 @@ def supply(view: View) -> Found:
         read = median if 1 < median < 60 else battery if bench else 0.0
         low, high = make.limits.low_voltage.si, make.limits.high_voltage.si
         if read and not low / _FULL < read < high * _FULL:
-            problem = f"{read:.3g} V supply a {make.name}, whose file holds from {low:g} to {high:g} V: it is another "
-            problem += f"variant of the {make.name}, with another motor and gear"
-            remedy = f"name its own make or file under `servo:`; the constants of {make.name} are wrong for it"
+            problem = (
+                f"the supply is {read:.3g} V, but the file of the {make.name} is valid from {low:g} to {high:g} V: "
+            )
+            problem += f"it is another variant of the {make.name}, with another motor and gear"
+            remedy = f"write its own make or file under `servo:`; the constants of {make.name} are wrong for it"
             yield view.found("field servo", problem, remedy)
     if any(servos) and not bench:  # a small servo has a converter of its own
         known = view.log.named_robot
@@ -157,11 +161,11 @@ def supply(view: View) -> Found:
             yield view.found((key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
         if median > 1 and (gone := column < 0.3 * median).any():
             problem = f"{gone.sum()} rows read {column[gone].min():.3g} V, at which no servo answers"
-            yield view.found((key, joint), problem, "leave these rows out", gone.argmax(), aside=True)
+            yield view.found((key, joint), problem, "remove these rows", gone.argmax(), aside=True)
     for key, joint, column in view.columns(TEMPERATURE):
         median, make = float(np.median(column)), servos[joint]
         hottest, celsius = _HOTTEST if make is None else make.limits.temperature.si, (median - 32) / 1.8
         if not -10 <= median <= hottest and median <= 150:  # beyond it its bound speaks
             unit = f", but {median:.4g} F would be {celsius:.3g} C" if -10 <= celsius <= hottest else ""
-            problem = f"the median temperature {median:.4g} C is none of a working servo{unit}"
+            problem = f"the median temperature {median:.4g} C is impossible for a working servo{unit}"
             yield view.found((key, joint), problem, "convert it to degrees Celsius", aside=True)

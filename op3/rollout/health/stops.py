@@ -36,7 +36,7 @@ _FAR, _TIMES = 0.1, 3.0  # a joint that lets go is so far beyond these [rad], an
 _CARRIED = 2.5  # if its range of motion on the way there is so many times that distance, it only yields to its load
 _WITHIN, _PULLS, _SPEEDS = 0.1, 0.15, 0.25  # a driven joint comes nearer by so much of it, or of its fastest, in [s]
 
-_LEAVE = "leave this time out, and look at the servo's supply, its errors and its torque switch"
+_LEAVE = "remove this time span, and check the servo's supply, its errors and torque_enable"
 
 
 @check("saturated", unless="stale readings")
@@ -58,13 +58,13 @@ def saturated(view: View) -> Found:
         ends = ((first, first - 1), (last, last + 1))
         beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
         if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
-            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "where it came and left fast"
-            problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is cut off"
+            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "which it reaches and leaves fast"
+            problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is clipped"
             remedy = "choose a larger range of the sensor, or slower motions"
             yield view.found((key, index), problem, remedy, first, last, aside=aside)
 
 
-@check("stands still", rows=21)
+@check("stuck value", rows=21)
 def stands_still(view: View) -> Found:
     """A channel keeps one number while the joint moves, or a position while its command travels far."""
     rows = round(0.2 / view.interval)
@@ -72,8 +72,8 @@ def stands_still(view: View) -> Found:
         return
     yield from _sensors_stand(view, rows)
     for joint, (first, last, moved) in commands_stop(view).items():
-        problem = f"the target does not change for {last - first} rows, while the joint goes on by {moved:.3g} rad"
-        remedy = "record what was sent, or cut the log here; look for a torque that was off"
+        problem = f"the target does not change for {last - first} rows, while the joint moves on by {moved:.3g} rad"
+        remedy = "record the targets that were sent, or cut the log here; check whether torque was off"
         yield view.found((COMMAND, joint), problem, remedy, first, last)
     for _, joint, velocity in view.columns(VELOCITY):
         yield from _velocity_stands(view, joint, velocity, rows)
@@ -82,13 +82,13 @@ def stands_still(view: View) -> Found:
         yield from _position_stands(view, joint, position)
         if np.ptp(target) == 0 and view.driven[:, joint].all() and np.ptp(position) > GIVES:
             moved = np.ptp(position)
-            problem = f"target stands at {target[0]:.4g} rad in every row while the joint moves by {moved:.3g} rad"
-            remedy = "record what was sent, or `torque_enable: 0` where it was pushed by hand"
+            problem = f"target stays at {target[0]:.4g} rad in every row while the joint moves by {moved:.3g} rad"
+            remedy = "record the targets that were sent, or `torque_enable: 0` where the joint was moved by hand"
             yield view.found((COMMAND, joint), problem, remedy)
         off = np.zeros(len(view.time), bool) if switch is None else switch[:, joint] == 0
         if off.sum() * view.interval > 1 and _follows(target[off], position[off], view.stride(0.05)):
             problem = "the joint follows its target while the log says that its torque is off"
-            yield view.found((COMMAND, joint), problem, "correct the switch")
+            yield view.found((COMMAND, joint), problem, "correct torque_enable")
 
 
 def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
@@ -127,7 +127,7 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
     fastest = speed[np.abs(speed - velocity[first]).argmax()]
     # a velocity may rightly keep a number while the joint is slower than its step
     if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
-        problem = f"velocity stands at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
+        problem = f"velocity stays at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
         where = VELOCITY, joint
         yield view.found(where, f"{problem}{fastest:.3g} rad/s", _UNUSED, first, first + length, aside=True)
 
@@ -148,10 +148,12 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
     moves = asked > 0.4 or (asked > 0.1 and _follows_elsewhere(view, joint, rows, asked, dead))
     if moves or said > 0.5:
-        problem = f"position stands at {position[first] + 0.0:.4g} rad while "
-        problem += f"its command moves by {asked:.3g} rad" if moves else f"its velocity says {said:.3g} rad in 0.5 s"
+        problem = f"position stays at {position[first] + 0.0:.4g} rad while "
+        problem += (
+            f"its command moves by {asked:.3g} rad" if moves else f"its velocity amounts to {said:.3g} rad in 0.5 s"
+        )
         all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
-        remedy, aside = "look whether the joint is blocked or its sensor dead", dead and not all_dead
+        remedy, aside = "check whether the joint is blocked or its sensor is dead", dead and not all_dead
         yield view.found((POSITION, joint), problem, remedy, first, last, aside=aside, error=all_dead)
 
 
@@ -187,7 +189,7 @@ def _sensors_stand(view: View, rows: int) -> Found:
             if length == len(same):  # a robot that does not turn has no rates, and keeps its orientation
                 dead = {CURRENT: moved and driven, ORIENTATION: turns, RATE: tilted, FORCE: zero or tilted}
                 for column in range(part.shape[1]) if dead.get(key, zero) else ():
-                    problem = f"{name} stands at {part[0, column]:.4g} in every row"
+                    problem = f"{name} stays at {part[0, column]:.4g} in every row"
                     yield view.found((key, index + column), problem, _UNUSED, aside=True)
                 continue
             size, most = abs(part[first, 0]), np.abs(part).max()
@@ -195,7 +197,7 @@ def _sensors_stand(view: View, rows: int) -> Found:
             same[run] = False
             stops = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
             if length > 2 * rows and moved and not limited and stops and key not in (VOLTAGE, TEMPERATURE):
-                problem = f"{name} keeps its numbers for {length} rows, while the robot moves"
+                problem = f"{name} keeps the same values for {length} rows, while the robot moves"
                 for column in range(part.shape[1]):
                     yield view.found((key, index + column), problem, _UNUSED, first, first + length, aside=True)
 
@@ -219,7 +221,7 @@ def turned_by_gyroscope(view: View) -> np.ndarray:
     return integral(view.time, rates - np.median(rates, axis=0))
 
 
-@check("lets go", rows=50, unless="position against command, two clocks, time jumps, stale readings")
+@check("torque lost", rows=50, unless="position against command, two clocks, time jumps, stale readings")
 def lets_go(view: View) -> Found:
     """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
     not pulled towards them, much further off than at other times. Without a current it is not reported within 0.1 rad
@@ -236,8 +238,8 @@ def lets_go(view: View) -> Found:
             for first, last in _without(given, wanted, on, view.interval):
                 reported.add(joint)
                 worst = first + int(np.abs(wanted[first : last + 1]).argmax())
-                problem = f"{key[1]} is {given[worst] + 0.0:.2g} where its law gives {wanted[worst]:.2g}, for "
-                problem += f"{view.time[last] - view.time[first]:.2g} s: the servo had let go"
+                problem = f"{key[1]} is {given[worst] + 0.0:.2g} where its control law gives {wanted[worst]:.2g}, for "
+                problem += f"{view.time[last] - view.time[first]:.2g} s: the servo had no torque"
                 yield view.found((POSITION, joint), problem, _LEAVE, first, last)
     yield from _astray(view, reported)
 
@@ -283,9 +285,9 @@ def _astray(view: View, reported: set[int]) -> Found:
                 if holds or shaken:
                     continue  # a push, or on its feet the weight
                 reported.add(joint)
-                more = f" and {len(found) - 1} times more" if len(found) > 1 else ""
-                problem = f"the joint stays {far:.2g} rad beyond all its targets of {recent} s, for "
-                problem += f"{(end - first) * period:.2g} s{more}, and {usual:.2g} rad otherwise: "
+                more = f", and {len(found) - 1} times more," if len(found) > 1 else ""
+                problem = f"for {(end - first) * period:.2g} s{more} the joint stays {far:.2g} rad beyond all its "
+                problem += f"targets of the last {recent} s, at other times {usual:.2g} rad: "
                 problem += "its torque was off, or it was blocked"
                 last = min((end - 1) * stride, len(view.time) - 1)
                 yield view.found((POSITION, joint), problem, _LEAVE, first * stride, last)
@@ -319,7 +321,9 @@ def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: floa
     return sorted(sure), usual
 
 
-@check("position without its command", unless="position against command, lost turns, two clocks, stands still, lets go")
+@check(
+    "position without its command", unless="position against command, lost turns, two clocks, stuck value, torque lost"
+)
 def unrelated(view: View) -> Found:
     """A position does not follow its command at any delay: it is another joint's or recording's, or the
     command is a torque. Not on its feet, where the weight moves soft joints against their commands."""
@@ -342,11 +346,11 @@ def unrelated(view: View) -> Found:
     for joint, best in lost.items():
         problem = f"the position does not follow its command (correlation {best:.2f})"
         if joint in torques and 2 * len(torques) > asked:
-            problem += ", which goes with its acceleration, speed and gravity as a torque does"
-            remedy = "name the command <joint>.load under `columns:`, and give targets of positions"
+            problem += ", which depends on acceleration, speed and gravity as a torque does"
+            remedy = "name the command <joint>.load under `columns:`, and record position targets"
             yield view.found((COMMAND, joint), problem, remedy, error=True)
         else:
-            remedy = "look whether both are of this joint and of the same recording"
+            remedy = "check whether both belong to this joint and to one recording"
             yield view.found((POSITION, joint), problem, remedy)
 
 

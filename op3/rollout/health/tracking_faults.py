@@ -16,7 +16,7 @@ _MORE, _MOST = 1.4, 1.9  # a servo moves less than so many times as far as its c
 _SOFT = 0.3  # servos that follow their commands at all move so far, in parts of it: the softest of a bench
 _PERIOD = 0.02  # time from row to row in which motions are looked at [s]
 _SIGNS = "write `sign: -1` under `columns:` in the YAML for its position and velocity, or for its target"
-_GEAR = "look at the resolution and the gear ratio by which it was converted"
+_GEAR = "check the resolution and the gear ratio of the conversion"
 
 
 def exchanged(view: View) -> dict[int, int]:
@@ -43,7 +43,7 @@ def command(view: View) -> Found:
     for joint, other in circles.items():
         which = "of the two" if circles.get(other) == joint else "of several joints"
         problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
-        yield view.found((POSITION, joint), problem, "exchange their names under `columns:` in the YAML", error=wrong)
+        yield view.found((POSITION, joint), problem, "swap their names under `columns:` in the YAML", error=wrong)
     angle, target, driven, _ = view.thinned(_PERIOD)
     driven = np.all(driven, axis=1)
     if driven.sum() < 20:
@@ -69,7 +69,7 @@ def command(view: View) -> Found:
     relative = (asked > 1e-3) & (moved > 0.05) & (target.std(0) < 0.6 * angle.std(0))
     relative &= (change > SURE) & (1 - change < 0.3 * (1 - itself))
     for joint in np.flatnonzero(relative):
-        problem = "the command is how far the joint is to move, and not where to"
+        problem = "the command is a relative movement, not a target position"
         yield view.found((COMMAND, joint), problem, "record the position plus the command as the target", error=wrong)
 
     def late(joint: int) -> bool:
@@ -83,23 +83,23 @@ def command(view: View) -> Found:
     for joint in (int(j) for j in np.flatnonzero((asked > 0.05) | (moved > 0.05)) if j not in explained):
         sure, ratio = float(itself[joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         other, error = view.joints[leader[joint]] if swapped[joint] else None, wrong
-        turns = ", and the sign of one is turned round" if signed[joint, leader[joint]] < 0 else ""
+        turns = ", and one sign is reversed" if signed[joint, leader[joint]] < 0 else ""
         moves = asked[joint] > 0.05
         if moves and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
             unit = _unit(view, joint, ratio) if ratio > 0 else None
             problem = f"the position moves {ratio:.3g} times as far as its command{f', as if {unit}' if unit else ''}"
-            remedy = "convert both to radians (57.3 is degrees)" if unit else _GEAR
+            remedy = "convert both to radians (a factor of 57.3 means degrees)" if unit else _GEAR
         elif moves and sure > 0.97 and ratio > _MORE:
             problem, remedy, error = f"the position moves {ratio:.3g} times as far as its command", _GEAR, False
         elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late(joint):
-            problem, remedy = "the position moves against its command: the sign of one of them is turned round", _SIGNS
-            problem += f", or it was swapped with that of {other}" if other else ""
+            problem, remedy = "the position moves against its command: one of the two signs is reversed", _SIGNS
+            problem += f", or its column was swapped with that of {other}" if other else ""
         elif moves and against[joint] and not late(joint):
             problem, remedy = f"the position moves against its command (correlation {own[0, joint]:.2f})", _SIGNS
             error = False
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped{turns}"
-            remedy = "exchange their names under `columns:` in the YAML"
+            remedy = "swap their names under `columns:` in the YAML"
         else:
             continue
         yield view.found((POSITION, joint), problem, remedy, error=error)

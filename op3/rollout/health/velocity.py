@@ -23,7 +23,7 @@ _FILTER, _LOSS = 1e-3, 2.5e-4  # order of what a filter adds of the change of a 
 _ABSURD = 1e9  # numbers beyond it are refused elsewhere
 _SLOWEST = 0.04  # between rows further apart differences, stamps and the trapezoid rule are as much as any fault [s]
 
-_UNUSED = "the channel is not used; correct it where you know how"
+_UNUSED = "the channel is not used; correct it if you know how"
 
 
 @check("velocity against position", VELOCITY, rows=20)
@@ -54,8 +54,10 @@ def velocity(view: View) -> Found:
             remedy = f"write `unit: {unit}` for it under `columns:` in the YAML" if unit else remedy
             yield view.found((VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax(), error=True)
         elif ratio and not refuse and sent.correlation[0, 0] > SURE and abs(np.log(max(moves * ratio, 1e-9))) < 0.15:
-            problem = f"the position moves {moves:.3g} times as far as its command, and the velocity as that says"
-            remedy = "look at the resolution and the gear ratio by which the position was converted"
+            problem = (
+                f"the position moves {moves:.3g} times as far as its command, and the velocity agrees with the command"
+            )
+            remedy = "check the resolution and the gear ratio of the position's conversion"
             yield view.found((POSITION, joint), problem, remedy)
         else:
             yield view.found((VELOCITY, joint), problem + clock, _UNUSED, aside=True)
@@ -71,10 +73,10 @@ def _gross(view: View, fit: Match, joint: int, summed: np.ndarray) -> tuple[str,
     fits = (sure > 0.97) & (fit.ratio[joint] > 0) & ((abs(own) < SURE) | (ratio < 0)) & (np.arange(len(sure)) != joint)
     other = view.joints[int(np.where(fits, sure, 0).argmax())] if fits.any() else None
     if abs(own) > SURE and not 0.6 < ratio < 1.6 and abs(ratio) > np.finfo(float).tiny:
-        words = f"the velocity is {ratio:.3g} times the change of position per second{_says(ratio, view.interval)}"
+        words = f"the velocity is {ratio:.3g} times the derivative of the position{_says(ratio, view.interval)}"
         return words + (f", or it is that of {other}" if other else ""), ratio
     if fit.size_a[joint] < 0.02 * fit.size_b[joint]:
-        return "velocity stands still while the joint moves", None
+        return "velocity hardly changes while the joint moves", None
     rate, change = view.log.array(VELOCITY)[:, joint], view.speed[:, joint]
     lag, best, least = _late(view, view.position[:, joint], rate)
     # what shakes is in step with itself a period later again, but not between
@@ -97,7 +99,7 @@ def _says(ratio: float, interval: float) -> str:
     """What a factor between velocity and the change of position means, in words."""
     if abs(ratio / interval - 1) < 0.03:
         return ", as if it were the difference from row to row"
-    turned = " with the sign turned round" if ratio < 0 else ""
+    turned = " with the sign reversed" if ratio < 0 else ""
     # registers count in steps of a velocity, a derivative of positions in their unit per second
     readings = (("it", ratio, "rad/s"), ("the position", 1 / ratio, "rad"))
     causes = [as_if(reading, tolerance=near) for reading in readings for near in (0.05, 0.12)]
@@ -106,7 +108,7 @@ def _says(ratio: float, interval: float) -> str:
 
 
 def _comes(lag: float) -> str:
-    return f"velocity comes {abs(lag):.2g} s {'after' if lag > 0 else 'before'} the position's change"
+    return f"velocity {'lags' if lag > 0 else 'leads'} the change of position by {abs(lag):.2g} s"
 
 
 def _late(view: View, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
@@ -182,21 +184,21 @@ def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
         problem = f"{('negative', 'positive')[wrong]} velocities are {sides[wrong]:.2g} times the change of "
         problem += f"position per second, and the others {sides[1 - wrong]:.2g} times"
     elif clear and abs(ratio - 1) > max(_SCALED, grid / 2 / max(float(speed.std()), 1e-9)) + uncertain[0]:
-        problem = f"the velocity is {ratio:.3g} times the change of position per second"
-        remedy = "look whether angle, velocity or time was scaled (a scaled position is off its command), and write "
-        remedy += "`scale:` into its YAML"
+        problem = f"the velocity is {ratio:.3g} times the derivative of the position"
+        remedy = "check whether position, velocity or time was scaled (a scaled position differs from its command), "
+        remedy += "and write `scale:` into its YAML"
     elif clear and loss > _SMOOTHED**2 + 8 * interval**2:
-        problem = f"velocity is smoothed, over {np.sqrt(loss):.1g} s or more"
+        problem = f"velocity is smoothed over {np.sqrt(loss):.1g} s or more"
     elif whole and abs(bias) > _DRIFT + uncertain[3] + grid / 2:
-        problem = f"velocity is {bias:+.3g} rad/s off the change of position on average"
+        problem = f"velocity differs from the change of position by {bias:+.3g} rad/s on average"
     elif scatter > _NOISE * max(of_position, 2 * grid, 0.03):
-        problem = f"velocity scatters by {scatter:.2g} rad/s from row to row, and its position moves evenly"
+        problem = f"velocity scatters by {scatter:.2g} rad/s from row to row, but the position moves smoothly"
     elif size[worst] > max(_PARTED + stops, 8 * float(np.median(size)), 10 * float(view.steps(POSITION)[joint])):
         far = np.flatnonzero(size > size[worst] / 2)
         far = far[np.abs(first[far] - first[worst]) < 2 * WINDOW / interval]
         rows = first[far[0]], last[far[-1]]
-        problem = f"position and summed velocity part by {size[worst]:.2g} rad within {WINDOW:g} s there"
-        remedy = "look which of them has wrong readings there, and leave these rows out"
+        problem = f"position and integrated velocity diverge by {size[worst]:.2g} rad within {WINDOW:g} s"
+        remedy = "check which of them has wrong readings there, and remove these rows"
     else:
         return
     yield view.found((VELOCITY, joint), problem, remedy, *rows, aside=remedy == _UNUSED)
