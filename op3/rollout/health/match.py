@@ -10,7 +10,10 @@ from scipy.integrate import cumulative_trapezoid
 
 from op3.rollout.units import likely_unit
 
-WINDOW = 0.12  # time over which increments are compared, so that the steps of an encoder average out [s]
+WINDOW, OVERLAP = (
+    0.12,
+    3,
+)  # time over which increments are compared, so that the steps of an encoder average out [s], and windows over it
 SURE = 0.9  # correlation above which one signal follows another, so that a factor and a sign mean something
 GIVES = 0.5  # no servo that holds its target yields by so much [rad]
 
@@ -82,7 +85,7 @@ def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """First and last rows of overlapping windows that no hole interrupts, and how long they are [s]."""
     interval = float(np.median(np.diff(time)))
     rows = max(2, min(round(WINDOW / interval), len(time) // 10))
-    first = np.arange(0, len(time) - rows, max(1, rows // 2))
+    first = np.arange(0, len(time) - rows, max(1, rows // OVERLAP, len(time) // 8000))
     first = first[time[first + rows] - time[first] < 2 * rows * interval]
     return first, first + rows, float(np.median(time[first + rows] - time[first])) if len(first) else 0.0
 

@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import SURE, WINDOW, Match, as_if, delays, fitted, integral, longest_run, match, no_sensor
+from op3.rollout.health.match import (
+    OVERLAP,
+    SURE,
+    WINDOW,
+    Match,
+    as_if,
+    delays,
+    fitted,
+    integral,
+    longest_run,
+    match,
+    no_sensor,
+)
 from op3.rollout.keys import POSITION, VELOCITY
 from op3.rollout.units import likely_unit
 
@@ -123,26 +135,11 @@ def _late(view: View, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float
     return lag * view.interval, float(curve.max()), float(curve[between].min())
 
 
-def _causes(view: View, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """What may explain the sum of velocities in a window [window, cause]: the position's change, what a delay and a
-    filter of the estimator leave of it, and a constant; the windows' first and last rows, and how far they overlap."""
-    near, angle, time = view.stride(0.02), view.position[:, joint], view.time
-    rows = max(2, min(round(WINDOW / view.interval), len(time) // 10))
-    first = np.arange(near, len(time) - rows - near, max(1, min(rows // 3, len(time) // 8000)))
-    overlap = rows / (first[1] - first[0]) if len(first) > 1 else 1.0
-    first = first[time[first + rows + near] - time[first - near] < 2 * (rows + 2 * near) * view.interval]  # no hole
-    last, beside = first + rows, near * view.interval
-    slope = (angle[2 * near :] - angle[: -2 * near]) / (2 * beside)
-    bend = (angle[2 * near :] - 2 * angle[near:-near] + angle[: -2 * near]) / beside**2
-    of_filter = (x[last - near] - x[first - near] for x in (slope, bend))
-    return np.stack([angle[last] - angle[first], *of_filter, time[last] - time[first]], axis=1), first, last, overlap
-
-
-def _weighed(causes: np.ndarray, summed: np.ndarray, overlap: float, count: float) -> tuple[np.ndarray, ...]:
+def _weighed(causes: np.ndarray, summed: np.ndarray, count: float) -> tuple[np.ndarray, ...]:
     """Weights of the causes by least squares, their standard errors, and which windows count: none that is far off."""
     weights, weighed, left, counts = np.zeros(4), causes, summed, np.ones(len(causes), bool)
     for _ in range(4):
-        spread = max(float(left[counts].std()), count / 4, 1e-6) * np.sqrt(overlap)
+        spread = max(float(left[counts].std()), count / 4, 1e-6) * np.sqrt(OVERLAP)
         # a single sine bends as it turns, so an estimator's filter is taken for what those of servos are
         weighed = np.vstack([causes[counts] / spread, [0, 0, 1 / _FILTER, 0]])
         weights = fitted(weighed, np.append(summed[counts] / spread, 0.0))
@@ -157,13 +154,24 @@ def _weighed(causes: np.ndarray, summed: np.ndarray, overlap: float, count: floa
 
 def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
     """What a joint's velocities [time] differ in from the change of its position; factor and delay where it moves."""
-    every, first, last, overlap = _causes(view, joint)
-    grid, interval, sums = float(view.steps(VELOCITY)[joint]), view.interval, integral(view.time, speed)
-    total = sums[last] - sums[first]
+    angle, near, grid, interval = (
+        view.position[:, joint],
+        view.stride(0.02),
+        float(view.steps(VELOCITY)[joint]),
+        view.interval,
+    )
+    first, last, _ = view.windows
+    inside = (first >= near) & (last < len(angle) - near)
+    first, last = first[inside], last[inside]
+    # the position's change, what a delay and a filter of the estimator leave of it, and a constant
+    ahead, behind, beside = np.roll(angle, -near), np.roll(angle, near), near * interval
+    slope, bend = (ahead - behind) / (2 * beside), (ahead - 2 * angle + behind) / beside**2
+    every = view.turned(np.stack([angle, slope, bend, view.time], axis=1))[inside]
+    total = view.summed(speed)[inside]
     # few windows, or absurd numbers, or none at all
-    if len(first) < 8 * overlap or not np.max([np.abs(every).max(), np.abs(total).max()]) < _ABSURD:
+    if len(first) < 8 * OVERLAP or not np.max([np.abs(every).max(), np.abs(total).max()]) < _ABSURD:
         return
-    weights, errors, counts = _weighed(every, total, overlap, grid * WINDOW)
+    weights, errors, counts = _weighed(every, total, grid * WINDOW)
     ratio, delay, loss, bias = weights / [1.0, -(weights[0] or 1.0), (weights[0] or 1.0) / 24, 1.0]
     uncertain, causes, summed, left = 4 * errors, every[counts], total[counts], total - every @ weights
     share = 1 - float(left[counts].var()) / max(float(summed.var()), 1e-24)
