@@ -161,13 +161,15 @@ def report(folder: Path, worlds: list[dict[str, Any]], names: list[str], seed: i
     lead = f"{0 if pooled is None else pooled:.1%} of the intervals hold the truth."
     lead += f" Least squares reached the minimum in {numbers['coverage.minimum_reached']} of {len(worlds)} worlds"
     within = numbers["coverage.pooled_where_reached"]
-    page = Page("Coverage of 90 % intervals", lead + ("." if within is None else f"; there {within:.1%} do."))
+    lead += "." if within is None else f"; there {within:.1%} do."
     rows = [
         [name.replace("_", " "), numbers["covered"][name], numbers["covered_where_identifiable"][name],
          numbers["identifiable_in"][name], len(worlds)]
         for name in names
     ]  # fmt: skip
-    page.table(["parameter", "covered", "covered where identifiable", "identifiable", "worlds"], rows)
+    header = ["parameter", "covered", "covered where identifiable", "identifiable", "worlds"]
+    prose = f"# Coverage of 90 % intervals\n{lead}\n\n[[table parameters]]"
+    page = Page(prose, tables={"parameters": (header, rows)})
     page.provenance(provenance)
     print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 

@@ -29,7 +29,7 @@ from op3.apps.reidentify import reidentify
 from op3.apps.stages import Stages
 from op3.apps.train import train
 from op3.report import Page, read_result, run_provenance, write_result
-from op3.report.tables import Cell, number
+from op3.report.tables import TableRows
 
 TOLERATED = 1.25
 """The excitation loss may rise by a quarter."""
@@ -143,50 +143,50 @@ def against(roads: dict[str, dict[str, Any]], key: str) -> float | None:
     return left / before if left is not None and before else None
 
 
+PROSE = """
+# Re-identification on hidden robots
+Over fresh episodes the distance of returns falls to {n[median.fresh_ratio]:.2g} of its value after excitation only
+(median of {count} robots), over those of the search to {n[median.distance_ratio]:.2g}. The excitation loss rises to
+{n[largest.excitation_ratio]:.2f} times its value at most.
+
+[[table reidentify | Returns under R_eval and their Wasserstein-1 distance to the robot's; the start is the model
+identified from the squat alone. | 3]]
+
+[[table diagnose | The same from a model to which a diagnosis has added what it found missing first. | 3]]
+
+[[table both | Both roads, as shares of what excitation alone left. | 3]]
+
+"""
+LINK = "[[file {0}/reidentify/index.html | re-identification of {0}]]\n"
+
+
 def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int) -> None:
     """Write page and numbers."""
     numbers = summarise(robots)
     provenance = run_provenance(seed=seed)
     meanings = {"median": "over robots; distances are Wasserstein-1, as shares of those after excitation only"}
     result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance}, meanings)
-    page = Page(
-        "Re-identification on hidden robots",
-        f"Over fresh episodes the distance of returns falls to {number(numbers['median.fresh_ratio'], 2)} of its value"
-        f" after excitation only (median of {len(robots)} robots), over those of the search to"
-        f" {number(numbers['median.distance_ratio'], 2)}. The excitation loss rises to"
-        f" {numbers['largest.excitation_ratio']:.2f} times its value at most.",
-    )
     header = ["robot", "mean return on it", "at the start", "re-identified", "distance at the start", "after", "ratio",
               "fresh, at the start", "after", "chance leaves", "excitation loss, times", "trials",
               "of them played"]  # fmt: skip
     keys = ("return.actual", "return.excitation_only", "return.reidentified", "distance.excitation_only",
             "distance.reidentified", "distance.ratio", "fresh.excitation_only", "fresh.reidentified", "fresh.noise",
             "excitation.ratio", "trials", "trials_played")  # fmt: skip
-
-    def table(road: str, caption: str) -> None:
-        rows: list[list[Cell]] = [
-            [robot, *(roads[road][key] for key in keys)] for robot, roads in robots.items() if road in roads
-        ]
-        if rows:
-            page.table(header, rows, caption, digits=3)
-
-    table("reidentify", "Returns under R_eval and their Wasserstein-1 distance to the robot's; the start is the model"
-          " identified from the squat alone.")  # fmt: skip
-    table("diagnose", "The same from a model to which a diagnosis has added what it found missing first.")
-    both = {robot: roads for robot, roads in robots.items() if "diagnose" in roads}
-    if both:
-        page.table(
-            ["robot", "verdict", "distance left", "diagnosed first", "fresh, left", "diagnosed first",
-             "excitation loss, times", "diagnosed first"],
-            [
-                [robot, roads["diagnose"]["verdict"], *(
-                    value for key in SHARES.values()
-                    for value in (roads["reidentify"][f"{key}.ratio"], against(roads, key)))]
-                for robot, roads in both.items()
-            ],
-            "Both roads, as shares of what excitation alone left.", digits=3,
-        )  # fmt: skip
-    page.files({f"{robot}/reidentify/index.html": f"re-identification of {robot}" for robot in robots})
+    tables: dict[str, TableRows] = {
+        road: (header, [[name, *(roads[road][key] for key in keys)] for name, roads in robots.items() if road in roads])
+        for road in ("reidentify", "diagnose")
+    }
+    tables["both"] = (
+        ["robot", "verdict", "distance left", "diagnosed first", "fresh, left", "diagnosed first",
+         "excitation loss, times", "diagnosed first"],
+        [
+            [robot, roads["diagnose"]["verdict"], *(
+                value for key in SHARES.values()
+                for value in (roads["reidentify"][f"{key}.ratio"], against(roads, key)))]
+            for robot, roads in robots.items() if "diagnose" in roads
+        ],
+    )  # fmt: skip
+    page = Page(PROSE.format(n=numbers, count=len(robots)) + "".join(map(LINK.format, robots)), tables=tables)
     page.provenance(provenance)
     print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 

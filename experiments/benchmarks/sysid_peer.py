@@ -229,10 +229,11 @@ def main(cfg: DictConfig) -> None:
         result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance})
         held = {name: values["error_mrad.heldout"] for name, values in results.items()}
         lead = ", ".join(f"{name} leaves {error:.1f} mrad" for name, error in held.items())
-        page = Page("Identification beside mujoco.sysid", f"On the held-out log {lead}.")
         columns = ["error_mrad.train", "error_mrad.heldout", "wall_seconds", "simulations"]
         rows = [[name, *(values[c] for c in columns)] for name, values in results.items()]
-        page.table(["", "error [mrad]", "held-out error [mrad]", "time [s]", "simulations"], rows)
+        header = ["", "error [mrad]", "held-out error [mrad]", "time [s]", "simulations"]
+        prose = f"# Identification beside mujoco.sysid\nOn the held-out log {lead}.\n\n[[table errors]]"
+        page = Page(prose, tables={"errors": (header, rows)})
         page.provenance(provenance)
         print(page.write(folder / "index.html"), result, sep="\n", flush=True)
 

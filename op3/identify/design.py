@@ -1,6 +1,6 @@
 """Which motions to record: those that narrow the intervals of chosen parameters most per second of robot time."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,7 +139,6 @@ def choose(
     overhead: float = 5.0,
     mount_change: float = 60.0,
     repeats: int = 2,
-    progress: Callable[[Step], None] | None = None,
 ) -> list[Step]:
     """Take greedily the recording that gains most per second of robot time, until the time is used up.
 
@@ -155,14 +154,7 @@ def choose(
         overhead: robot time for each recording beside its duration [s].
         mount_change: robot time for moving the robot to another mount [s].
         repeats: a motion is recorded at most so often.
-        progress: called with every step.
-
-    Raises:
-        ValueError: if there is no candidate, a wanted parameter is unknown, or the criterion is.
     """
-    check_choice(names, wanted, criterion)
-    if not candidates:
-        raise ValueError("design: there are no motions to choose from")
     places = [list(names).index(name) for name in wanted]
     known = np.eye(len(names)) * PRIOR
     steps: list[Step] = []
@@ -182,8 +174,6 @@ def choose(
         known = known + chosen.information
         used, mount = used + cost, chosen.mount
         steps.append(Step(chosen.name, chosen.mount, used, widths(known, names)))
-        if progress is not None:
-            progress(steps[-1])
 
 
 def widths(information_matrix: Array, names: Sequence[str]) -> dict[str, float]:

@@ -26,25 +26,51 @@ MOST_KEY_NUMBERS = 5
 
 
 class Page:
-    """A page that is built from top to bottom and written once; it loads nothing from elsewhere and works offline.
+    """A page made of prose, written once; it loads nothing from elsewhere and works offline.
+
+    Prose is blocks with blank lines between them. The first block is ``# the title`` with the lead, the outcome, on the
+    lines after it; the lead's first sentence, the verdict, is set large. Others are a paragraph, ``## a heading``,
+    ``[[code]]`` and lines after it, or lines of ``[[tile name | value | unit | note]]`` (the row of key numbers under
+    the verdict), ``[[figure name | caption]]``, ``[[table name | caption | digits]]``, ``[[film path | caption]]`` and
+    ``[[file path | what is in it]]``. Figures and tables that are not there, or have no rows, are left out.
 
     All text is escaped. Text between backticks is set as code.
 
     Args:
-        title: what was done, to what.
-        lead: the outcome. Its first sentence, the verdict, is set large.
+        prose: what the page says.
+        figures: by name; None for a figure that a log has no data for.
+        tables: header with units and rows by name; a cell of None shows as a dash, and columns without cells are left
+            out. Digits are significant ones of numbers that are not integers, 4 where the prose gives none.
+        template: that the prose was made from.
     """
 
-    def __init__(self, title: str, lead: str):
-        title, lead = (scrub(" ".join(text.split())) for text in (title, lead))
-        end = re.search(r"(?<=[.!?])\s+(?=[^a-z])", lead)
-        self._title, self._verdict = title, lead[: end.start()] if end else lead
-        self._detail = lead[end.end() :] if end else ""
-        self.template = ""
+    def __init__(
+        self,
+        prose: str,
+        figures: Mapping[str, go.Figure | None] | None = None,
+        tables: Mapping[str, TableRows] | None = None,
+        template: str = "",
+    ):
+        self.template = template
         self._blocks: list[dict[str, Any]] = []
         self._tiles: list[dict[str, str]] = []
         self._figures: list[Markup] = []
         self._provenance: dict[str, str] = {}
+        first, *blocks = map(str.strip, re.split(r"\n\s*\n", prose.strip()))
+        title, _, lead = first.removeprefix("# ").partition("\n")
+        self._title, lead = _one_line(title), _one_line(lead)
+        end = re.search(r"(?<=[.!?])\s+(?=[^a-z])", lead)
+        self._verdict, self._detail = (lead[: end.start()], lead[end.end() :]) if end else (lead, "")
+        for block in blocks:
+            if block.startswith("## "):
+                self._add("section", block[3:])
+            elif block.startswith("[[code]]\n"):
+                self._add("code", scrub(block.removeprefix("[[code]]\n")))
+            elif block.startswith("[["):
+                for line in re.split(r"\n(?=\[\[)", block):
+                    self._direct(line, figures or {}, tables or {})
+            else:
+                self._add("text", _one_line(block))
 
     @classmethod
     def of(
@@ -54,92 +80,41 @@ class Page:
         tables: Mapping[str, TableRows] | None = None,
         **context: Any,
     ) -> Self:
-        """The page that a template of prose tells: blocks with blank lines between them.
-
-        The first block is ``# the title`` with the lead on the lines after it. Others are a paragraph, ``## a
-        heading``, ``[[code]]`` and lines after it, or lines of ``[[tile name | value | unit | note]]`` (the row under
-        the verdict), ``[[figure name | caption]]``, ``[[table name | caption | digits]]``, ``[[film path | caption]]``
-        and ``[[file path | what is in it]]``. Figures and tables that are not there, or have no rows, are left out.
-
-        Args:
-            template: name of the file ``<name>.md`` in ``templates/``, Jinja's.
-            figures: by name.
-            tables: header and rows by name.
-            context: what the template speaks of.
-        """
+        """The page whose prose is ``<template>.md`` in ``templates/``, Jinja's, which speaks of the context."""
         context |= {"figures": figures or {}, "tables": tables or {}}
-        text = PROSE_TEMPLATES.get_template(f"{template}.md").render(context).strip()
-        first, *blocks = re.split(r"\n\s*\n", text)
-        title, _, lead = first.removeprefix("# ").partition("\n")
-        page = cls(title, lead)
-        page.template = template
-        for block in map(str.strip, blocks):
-            if block.startswith("## "):
-                page.section(block[3:])
-            elif block.startswith("[[code]]\n"):
-                page._add("code", scrub(block.removeprefix("[[code]]\n")))
-            elif block.startswith("[["):
-                for line in re.split(r"\n(?=\[\[)", block):
-                    page._direct(line, figures or {}, tables or {})
-            else:
-                page.text(block)
-        return page
+        prose = PROSE_TEMPLATES.get_template(f"{template}.md").render(context)
+        return cls(prose, figures, tables, template)
 
     def _direct(self, line: str, figures: Mapping[str, go.Figure | None], tables: Mapping[str, TableRows]) -> None:
-        """Do what one line of a template in double brackets asks for."""
-        found = re.fullmatch(r"\[\[(\w+) (.*)\]\]", " ".join(line.split()))
+        """Do what one line of prose in double brackets asks for."""
+        found = re.fullmatch(r"\[\[(tile|figure|table|film|file) (.*)\]\]", " ".join(line.split()))
         assert found, line
         kind, (name, *more) = found[1], [part.strip() for part in found[2].split("|")]
         if kind == "tile":
-            self.tile(name, *more)
+            value, unit, note = [*more, "", ""][:3]
+            self._tiles.append({"name": name, "value": value, "unit": unit, "note": note})
         elif kind == "figure":
-            self.figure(figures.get(name), more[0] if more else "")
+            if (figure := figures.get(name)) is not None:
+                self._figure(figure, more[0] if more else "")
         elif kind == "table":
-            if tables.get(name, ((), ()))[1]:
-                header, rows = tables[name]
-                self.table(header, rows, more[0] if more else "", int(more[1]) if more[1:] else 4)
-        elif kind in ("film", "file"):
-            self._list(kind, name, *more)
+            header, rows = tables.get(name, ((), ()))
+            if rows:
+                caption, digits = (*more, *("", "4")[len(more) :])
+                self._table(header, rows, caption, int(digits))
         else:
-            raise ValueError(f"a template asks for [[{kind}]]; choose tile, figure, table, film, file or code")
+            if not self._blocks or self._blocks[-1]["kind"] != kind:
+                self._add(kind, items=[])
+            self._blocks[-1]["items"].append((name, *more))
 
-    def tile(self, name: str, value: Cell, unit: str = "", note: str = "") -> None:
-        """Add a key number to the row under the verdict: its name, value, unit, and what to compare it with."""
-        self._tiles.append({"name": name, "value": _text(value), "unit": unit, "note": note})
-
-    def section(self, heading: str) -> None:
-        """Start a section."""
-        self._add("section", heading)
-
-    def text(self, text: str) -> None:
-        """Add a paragraph."""
-        self._add("text", scrub(" ".join(text.split())))
-
-    def figure(self, figure: go.Figure | None, caption: str) -> None:
-        """Add a figure with its caption; None, for a figure that a log has no data for, adds nothing."""
-        if figure is None:
-            return
+    def _figure(self, figure: go.Figure, caption: str) -> None:
         # `<` inside the data must not end the script element
         self._figures.append(Markup(str(figure.to_json()).replace("<", "\\u003c")))
         margin, columns = figure.layout.margin, len({axis.domain for axis in figure.select_xaxes()})
         width = max(320, 280 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str = "", digits: int = 4) -> None:
-        """Add a table, which the reader can sort, without its empty columns; numbers align at the decimal point.
-
-        Args:
-            header: of the columns, with units.
-            rows: cells; None shows as a dash.
-            caption: set above the table.
-            digits: significant digits of numbers that are not integers.
-
-        Raises:
-            ValueError: if a row is not as long as the header.
-        """
-        for i, row in enumerate(rows):
-            if len(row) != len(header):
-                raise ValueError(f"row {i} of the table has {len(row)} cells, the header {len(header)}")
+    def _table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str, digits: int) -> None:
+        """A table that the reader can sort, without its empty columns; numbers align at the decimal point."""
         filled = [column for column in zip(header, *rows, strict=True) if set(column[1:]) - {None, ""}]
         columns = [_column(name, cells, digits) for name, *cells in filled]
         cells = zip(*(column["cells"] for column in columns), strict=True)
@@ -186,11 +161,9 @@ class Page:
         count = 1 + sum(block["kind"] == kind for block in self._blocks)
         self._blocks.append({"kind": kind, "text": text, "count": count, **more})
 
-    def _list(self, kind: str, name: str, text: str) -> None:
-        """Add to the list of videos or files that the page ends with, or begin one."""
-        if not self._blocks or self._blocks[-1]["kind"] != kind:
-            self._add(kind, items=[])
-        self._blocks[-1]["items"].append((name, text))
+
+def _one_line(text: str) -> str:
+    return scrub(" ".join(text.split()))
 
 
 def _asset(name: str) -> Markup:
