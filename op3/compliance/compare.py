@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from op3.common.sample_intervals import wilson_interval
-from op3.compliance.compliance_study import Measured, Passed
+from op3.compliance.compliance_study import Measured
 from op3.compliance.landing import Comparison, Landings, compare_landings
+from op3.compliance.robustness import Passed
 
 Triple = tuple[float, float, float]
 """A difference and its 95 % interval."""

@@ -10,14 +10,14 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from op3.common.sample_intervals import wilson_interval
 from op3.common.settings import CONTROL_PERIOD, Count, Positive, settings
 from op3.compliance.backdrive import BackDrive, back_drive
-from op3.compliance.energy import Energy, measure_energy
+from op3.compliance.energy import Energy, measure_energy, robot_mass
 from op3.compliance.gains import TICK, Gains, measure_gains
 from op3.compliance.landing import Landings, find_landings
 from op3.compliance.leading import Led, lead
 from op3.compliance.pushing import Survival, survive_pushes
+from op3.compliance.robustness import Passed
 from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
 from op3.envs.step_traces import SKIPPED, StepWatch, Traces
@@ -26,7 +26,6 @@ from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
 from op3.tasks.baselines import StiffWalk, position_mode
-from op3.tasks.evaluation import succeeded
 from op3.tasks.task import Task, find_task
 
 Array = NDArray[np.float64]
@@ -60,26 +59,6 @@ class Sizes:
     push_most: Positive = 3.0
     lead_episodes: Annotated[Count, Field(ge=2)] = 8
     states: Count = 8
-
-
-@dataclass(frozen=True)
-class Passed:
-    """Episodes on one ground.
-
-    Attributes:
-        successes: that went on for the whole time without a fall, at least 1 m forward.
-        episodes: all.
-        speed: mean forward [m/s].
-    """
-
-    successes: int
-    episodes: int
-    speed: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the share of successes."""
-        return wilson_interval(self.successes, self.episodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +137,11 @@ class Study:
         ladder = {"most": sizes.push_most, "rungs": sizes.push_rungs, "episodes": sizes.push_episodes}
         print(f"{actor.label}: {self.task.name}", flush=True)
         logs, landings, traces, mass = self._watched(actor, sizes.episodes)
-        passed = {self.task.name: _passed(logs, self.task)}
+        passed = {self.task.name: Passed.of(logs, self.task)}
         for name, task in list(self.tasks.items())[1:]:
             print(f"{actor.label}: {name}", flush=True)
             env = actor.environment(task, self.model, sizes.episodes, self.seed, **self._options)
-            passed[name] = _passed(record_episodes(env, actor.policy), task)
+            passed[name] = Passed.of(record_episodes(env, actor.policy), task)
         print(f"{actor.label}: pushes, pulls, joints", flush=True)
         return Measured(
             label=actor.label,
@@ -186,7 +165,7 @@ class Study:
         print(f"{actor.label}: standing", flush=True)
         env = actor.environment(task, self.model, STANDING, self.seed, **self._options)
         logs = record_episodes(env, actor.policy)
-        return measure_energy(logs, self.model, env.mdp.robot, _mass(env), travels=False)
+        return measure_energy(logs, self.model, env.mdp.robot, robot_mass(env), travels=False)
 
     def stiff_landings(self) -> Landings:
         """Landings of stiff walks with steps and foot heights of a whole family, each in as many episodes."""
@@ -202,7 +181,7 @@ class Study:
         with watch.watching():
             logs = record_episodes(env, actor.policy)
         traces = watch.traces()
-        return logs, find_landings(traces, np.array([log.rows * TICK for log in logs])), traces, _mass(env)
+        return logs, find_landings(traces, np.array([log.rows * TICK for log in logs])), traces, robot_mass(env)
 
     def _back_drive(self, actor: Actor, logs: Sequence[Rollout]) -> BackDrive:
         """At states spread over a cycle of the gait, of the episodes that lasted longest."""
@@ -220,11 +199,6 @@ class Study:
         )
 
 
-def _mass(env: Any) -> float:
-    """Of a robot [kg]."""
-    return float(env.simulation.batch.get_model(0).body_subtreemass[0])
-
-
 class StiffFamily(StiffWalk):
     """Stiff walks, one after the other on the robots of a batch."""
 
@@ -238,8 +212,3 @@ class StiffFamily(StiffWalk):
             [self.gaits[row % len(self.gaits)].targets(now[None])[0] for row, now in enumerate(time.numpy())]
         )
         return {**super().commands(time), "position_target": torch.from_numpy(targets)}
-
-
-def _passed(logs: Sequence[Rollout], task: Task) -> Passed:
-    speeds = [log.metadata.travelled_distance / log.metadata.episode_duration for log in logs]  # type: ignore[operator]
-    return Passed(sum(succeeded(log, task) for log in logs), len(logs), float(np.mean(speeds)))

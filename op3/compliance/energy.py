@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from op3.common.sample_intervals import with_interval
+from op3.envs.batched import BatchedEnv
 from op3.robot import Robot
 from op3.robot.register_units import GRAVITY
 from op3.rollout import Rollout
@@ -94,6 +95,11 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, robot: Robot, mas
         drift=float(second / first - 1) if first > 0 else 0.0,
         continuous=min(servo.continuous_current for servo in robot.servos),
     )
+
+
+def robot_mass(env: BatchedEnv) -> float:
+    """Of each robot [kg]."""
+    return float(env.simulation.batch.get_model(0).body_subtreemass[0])
 
 
 def torque_per_current(model: RobotModel, robot: Robot) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from op3.common.sample_intervals import wilson_interval
 from op3.common.settings import Named, Number, Positive, nearest, settings
-from op3.compliance.energy import measure_energy
+from op3.compliance.energy import measure_energy, robot_mass
 from op3.compliance.pushing import survive_pushes
 from op3.envs.actors import Actor
 from op3.envs.gait_validity import GaitValidity, judged_episodes
@@ -61,23 +61,16 @@ class Variation:
         Raises:
             ValueError: if there is no such parameter, or its value is impossible.
         """
-        changes: dict[str, Callable[[float], float]] = {name: _adding(value) for name, value in self.add.items()}
-        changes |= {name: _scaling(value) for name, value in self.scale.items()}
-        for name, change in changes.items():
+        for name in {**self.add, **self.scale}:
             if name == BUS_VOLTAGE:
-                model = replace(model, bus_voltage=change(model.bus_voltage))
-                continue
-            model = _with_parameter(model, name)
-            model = model.moved({name: change(model.value(name))})
+                model = replace(model, bus_voltage=self._changed(name, model.bus_voltage))
+            else:
+                model = _with_parameter(model, name)
+                model = model.moved({name: self._changed(name, model.value(name))})
         return model
 
-
-def _adding(value: float) -> Callable[[float], float]:
-    return lambda before: before + value
-
-
-def _scaling(value: float) -> Callable[[float], float]:
-    return lambda before: before * value
+    def _changed(self, name: str, value: float) -> float:
+        return value * self.scale.get(name, 1.0) + self.add.get(name, 0.0)
 
 
 def _with_parameter(model: RobotModel, name: str) -> RobotModel:
@@ -96,44 +89,48 @@ def _neutral(parameter: Parameter) -> float:
 
 
 @dataclass(frozen=True)
-class Robustness:
-    """Robots under one variation.
+class Passed:
+    """Episodes of one kind of robots on one ground, one episode each.
 
     Attributes:
-        robots: all of them, one episode each.
-        upright: that did not fall.
+        episodes: all of them.
+        upright: without a fall.
         successes: that also did what the task asks for.
-        speed: mean forward [m/s]; None for a task without a gait.
+        speed: mean forward [m/s]; NaN for a task without a gait.
     """
 
-    robots: int
+    episodes: int
     upright: int
     successes: int
-    speed: float | None
+    speed: float
 
     @classmethod
-    def of(cls, logs: list[Rollout], task: Task) -> Robustness:
+    def of(cls, logs: Sequence[Rollout], task: Task) -> Passed:
         """Count the episodes."""
-        speed = None
-        if task.cycle is not None:
-            facts = [vars(log.metadata) for log in logs]
-            speed = float(np.mean([fact["travelled_distance"] / fact["episode_duration"] for fact in facts]))
+        facts = [vars(log.metadata) for log in logs if task.cycle is not None]
+        speeds = [fact["travelled_distance"] / fact["episode_duration"] for fact in facts]
         upright = sum(not log.metadata.fallen for log in logs)
-        return cls(len(logs), upright, sum(succeeded(log, task) for log in logs), speed)
+        successes = sum(succeeded(log, task) for log in logs)
+        return cls(len(logs), upright, successes, float(np.mean(speeds)) if speeds else np.nan)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the share of successes."""
+        return wilson_interval(self.successes, self.episodes)
 
     @property
     def plain(self) -> dict[str, Any]:
         """For a file."""
-        low, high = (round(end, 3) for end in wilson_interval(self.successes, self.robots))
-        speed = {} if self.speed is None else {"speed": round(self.speed, 4)}
-        return {"success": round(self.successes / self.robots, 3), "low": low, "high": high, **speed}
+        low, high = (round(end, 3) for end in self.interval)
+        speed = {} if np.isnan(self.speed) else {"speed": round(self.speed, 4)}
+        return {"success": round(self.successes / self.episodes, 3), "low": low, "high": high, **speed}
 
 
-def verdict(nominal: Robustness, task: Task) -> Literal["WALKS", "STANDS", "FALLS"]:
+def verdict(nominal: Passed, task: Task) -> Literal["WALKS", "STANDS", "FALLS"]:
     """What a policy does, by `ENOUGH` robots that are as it was trained."""
-    if task.cycle is not None and nominal.successes >= ENOUGH * nominal.robots:
+    if task.cycle is not None and nominal.successes >= ENOUGH * nominal.episodes:
         return "WALKS"
-    return "STANDS" if nominal.upright >= ENOUGH * nominal.robots else "FALLS"
+    return "STANDS" if nominal.upright >= ENOUGH * nominal.episodes else "FALLS"
 
 
 def make_card(
@@ -166,14 +163,13 @@ def make_card(
     report(f"card: {robots} nominal robots")
     env = actor.environment(task, model, robots, seed, **options)
     logs, validity = judged_episodes(env, bundle)
-    mass = float(env.simulation.batch.get_model(0).body_subtreemass[0])
-    nominal = Robustness.of(logs, task)
+    mass, nominal = robot_mass(env), Passed.of(logs, task)
     found = {"nominal": nominal.plain}
     for name, (other, attempted, variation) in varied.items():
         report(f"card: {name}, {variation.text}" if variation.text else f"card: {name}")
         env = actor.environment(attempted, other, robots, seed, **{**options, "gain_scale": variation.gain_scale})
         text = {"text": variation.text} if variation.text else {}
-        found[name] = {**text, **Robustness.of(record_episodes(env, actor.policy), attempted).plain}
+        found[name] = {**text, **Passed.of(record_episodes(env, actor.policy), attempted).plain}
     report("card: pushes")
     per_rung = -(-robots // PUSH_RUNGS)
     ladder = {"most": LARGEST_PUSH, "rungs": PUSH_RUNGS, "episodes": per_rung}

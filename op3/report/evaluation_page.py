@@ -13,6 +13,9 @@ from op3.report.trace_figures import body_figure, traces_figure
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile
 
+QUANTITIES = (("joint", "position"), ("command", "p_gain"), ("joint", "current"))
+"""What is drawn of the ankles, where the log has it."""
+
 
 def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:
     """Target angle and P gain over the gait, mean and standard deviation, with the stance of the foot shaded."""
@@ -47,12 +50,11 @@ def report_evaluation(
     """
     robot = logs[0].robot
     outer = [leg[place] for place in (-2, -1) for leg in robot.legs] or list(robot.arm[-2:])
-    quantities = [key for key in ("joint/position", "command/p_gain", "joint/current") if key in logs[0]]
     figures = {
         "returns": boxes_figure({name: {name: values} for name, values in returns.items()}, "R_eval per episode [-]"),
         "gait": None if profile is None else gait_figure(profile, joint),
         "body": body_figure(logs[0], {}),
-        "ankles": traces_figure(logs[0], {}, outer, quantities),
+        "ankles": traces_figure(logs[0], {}, outer, QUANTITIES),
     }
     page = Page.of(
         "evaluation", figures, n=numbers, episodes=len(logs), label=label, task=task, joint=joint, files=files

@@ -1,7 +1,6 @@
 """Measured against simulated: joints, body and runs of the servo bench (paper, figure of the identification)."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -12,22 +11,21 @@ from op3.report.style import COMMAND, MEASURED, boxes_figure, words
 from op3.report.tables import TableRows
 from op3.rollout import CHANNELS, Rollout
 from op3.rollout.health import merge_findings
-from op3.rollout.schema import Key, key_name, normal_key
+from op3.rollout.schema import key_name
 
-Channels = Prediction | Mapping[Any, Any]
-"""A prediction of one candidate, or arrays ``[time, joint | 3]`` by channel, such as ``("joint", "position")``."""
+Channel = tuple[str, str]
 
 SHOWN_RUNS = 6
 """Bench runs drawn on a page, the worst, the best and between."""
 
-JOINT_QUANTITIES: tuple[Key, ...] = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
+JOINT_QUANTITIES: tuple[Channel, ...] = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 
 MOVES, SWAYS = 0.01, 0.005
 """Joints, and trunks, whose angles change by less have no panel [rad]."""
 
 # what is drawn in degrees, and how little a y axis may show, in the unit drawn
-_DEGREES: set[Key] = {("joint", "position"), ("command", "position"), ("imu", "orientation")}
-_LEAST_SPAN: dict[Key, float] = {
+_DEGREES: set[Channel] = {("joint", "position"), ("command", "position"), ("imu", "orientation")}
+_LEAST_SPAN: dict[Channel, float] = {
     ("joint", "position"): 4.0,
     ("joint", "velocity"): 0.5,
     ("joint", "current"): 0.1,
@@ -38,9 +36,9 @@ _LEAST_SPAN: dict[Key, float] = {
 
 def traces_figure(
     log: Rollout,
-    predictions: Mapping[str, Channels],
+    predictions: Mapping[str, Prediction],
     joints: Sequence[str] = (),
-    quantities: Sequence[str | tuple[str, str]] = JOINT_QUANTITIES,
+    quantities: Sequence[Channel] = JOINT_QUANTITIES,
 ) -> go.Figure:
     """Measured and simulated traces: a row per joint that moves, right below left partner, and a column per quantity.
 
@@ -49,21 +47,11 @@ def traces_figure(
 
     Args:
         log: what was measured, without an episode axis.
-        predictions: by label; they may end before the log.
+        predictions: of one candidate by label; they may end before the log.
         joints: joints to show; all of the log if empty.
         quantities: channels of joints.
-
-    Raises:
-        ValueError: if the log has none of the quantities, or a joint or a shape does not belong to the log.
     """
-    keys = [key for key in map(normal_key, quantities) if key in log]
-    if not keys:
-        asked = ", ".join(key_name(normal_key(q)) for q in quantities)
-        there = ", ".join(map(key_name, log.channels))
-        raise ValueError(f"the log has no {asked} to draw; it has {there}")
-    for joint in joints:
-        if joint not in log.joints:
-            raise ValueError(f"the log has no joint {joint!r}; its joints are {', '.join(log.joints)}")
+    keys = [key for key in quantities if key in log]
     span = np.maximum(*(np.ptp(log.array(key), axis=0) for key in ("joint/position", "command/position")))
     names = joints or log.joints
     moving = [joint for joint in names if span[log.joints.index(joint)] >= MOVES]
@@ -74,10 +62,10 @@ def traces_figure(
     return panels_figure(grid)
 
 
-def body_figure(log: Rollout, predictions: Mapping[str, Channels]) -> go.Figure | None:
+def body_figure(log: Rollout, predictions: Mapping[str, Prediction]) -> go.Figure | None:
     """Roll, pitch and body rates; None for a log without them, or whose trunk does not move."""
     rates = ("roll rate x", "pitch rate y", "yaw rate z")
-    rows: dict[Key, Sequence[str]] = {("imu", "orientation"): ("roll", "pitch"), ("imu", "angular_velocity"): rates}
+    rows: dict[Channel, Sequence[str]] = {("imu", "orientation"): ("roll", "pitch"), ("imu", "angular_velocity"): rates}
     angles = ("imu", "orientation")
     if angles in log and np.ptp(log.array(angles)[:, :2], axis=0).max() < SWAYS:
         return None
@@ -89,19 +77,18 @@ def body_figure(log: Rollout, predictions: Mapping[str, Channels]) -> go.Figure 
     return panels_figure(grid, row_height=170) if grid else None
 
 
-def runs_figure(logs: Sequence[Rollout], predictions: Mapping[str, Sequence[Channels]], columns: int = 2) -> go.Figure:
+def runs_figure(logs: Sequence[Rollout], predictions: Mapping[str, Sequence[Prediction]]) -> go.Figure:
     """The angle of the first joint in several logs, a panel per log, with predictions by label, one per log."""
     panels = []
     for i, log in enumerate(logs):
         mine = {label: members[i] for label, members in predictions.items()}
         panels.append(_panel(log, mine, ("joint", "position"), 0, run_name(log), titled=True))
-    grid = [panels[start : start + columns] for start in range(0, len(panels), columns)]
-    return panels_figure(grid, row_height=180)
+    return panels_figure([panels[i : i + 2] for i in range(0, len(panels), 2)], row_height=180)
 
 
 def bench_figures(
     logs: Sequence[Rollout],
-    predictions: Mapping[str, Sequence[Channels]],
+    predictions: Mapping[str, Sequence[Prediction]],
     errors_mrad: Mapping[str, Sequence[float | None]],
     heldout: Sequence[bool],
 ) -> dict[str, go.Figure]:
@@ -151,44 +138,24 @@ def _paired(joints: Sequence[str]) -> list[str]:
 
 
 def _panel(
-    log: Rollout, predictions: Mapping[str, Channels], key: Key, column: int, name: str, what: str = "",
+    log: Rollout, predictions: Mapping[str, Prediction], key: Channel, column: int, name: str, what: str = "",
     titled: bool = False,
 ) -> Panel:  # fmt: skip
-    if log.batched:
-        raise ValueError("the log has an episode axis: draw one episode, log.episode(0), at a time")
     time = log.array("time")[:, 0]
     time = time - time[0]
     lines = [(MEASURED, time, _drawn(key, log.array(key)[:, column]))]
     if key == ("joint", "position") and ("command", "position") in log:
         lines.insert(0, (COMMAND, time, _drawn(key, log.array("command/position")[:, column])))
-    for label, channels in predictions.items():
-        values = _simulated(label, channels, key)
-        if values is None:
-            continue
-        if len(values) > len(time) or column >= values.shape[1]:
-            shape, there = list(values.shape), [len(time), log.array(key).shape[1]]
-            raise ValueError(f"{key_name(key)} of {label!r} has the shape {shape}, the log has {there}")
-        lines.append((label, time[: len(values)], _drawn(key, values[:, column])))
+    for label, prediction in predictions.items():
+        if key in prediction.channels:
+            values = prediction.channels[key][0].numpy()
+            lines.append((label, time[: len(values)], _drawn(key, values[:, column])))
     unit = "deg" if key in _DEGREES else CHANNELS[key].unit
     what = what or words(key_name(key).split("/")[-1])
     return Panel(f"{what} [{unit}]" if unit else what, lines, name, _LEAST_SPAN.get(key, 0.0), titled)
 
 
-def _simulated(label: str, channels: Channels, key: Key) -> np.ndarray | None:
-    """A channel ``[time, joint | 3]`` of the only candidate, or None where the prediction lacks it."""
-    found = channels.channels if isinstance(channels, Prediction) else channels
-    by_key = {normal_key(name): value for name, value in found.items()}
-    if key not in by_key:
-        return None
-    values = np.asarray(by_key[key], dtype=float)
-    values = values[0] if values.ndim == 3 and len(values) == 1 else values
-    if values.ndim != 2:
-        problem = f"{key_name(key)} of {label!r} has the shape {list(values.shape)}"
-        raise ValueError(f"{problem}; pick one candidate, so that it is [time, joint]")
-    return values
-
-
-def _drawn(key: Key, values: np.ndarray) -> np.ndarray:
+def _drawn(key: Channel, values: np.ndarray) -> np.ndarray:
     """Values in the unit drawn; angles of the body without jumps of a full turn."""
     if key == ("imu", "orientation"):
         finite = np.isfinite(values)

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from op3.compliance.compare import _of_shares
-from op3.compliance.compliance_study import Passed, Sizes, StiffFamily, Study, contestants
+from op3.compliance.compliance_study import Sizes, StiffFamily, Study, contestants
+from op3.compliance.robustness import Passed
 from op3.motions import SinusoidalGait
 from op3.sim import load_model
 from op3.tasks import find_task
@@ -38,6 +39,6 @@ def test_a_family_of_stiff_walks():
 
 def test_difference_of_shares():
     """56 of 70 against 48 of 80: 0.2 (0.0524 to 0.3339), the example of Newcombe (1998), method 10."""
-    found = _of_shares([Passed(56, 70, 0.0)], [Passed(48, 80, 0.0)])
+    found = _of_shares([Passed(70, 70, 56, 0.0)], [Passed(80, 80, 48, 0.0)])
     assert found == pytest.approx((0.2, 0.0524, 0.3339), abs=1e-4)
     assert _of_shares([], []) is None

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from op3.compliance import robustness
-from op3.compliance.robustness import Robustness, Variation, make_card, verdict
+from op3.compliance.robustness import Passed, Variation, make_card, verdict
 from op3.envs.actors import Actor
 from op3.sim import load_model
 from op3.tasks import find_task
@@ -62,7 +62,7 @@ def test_shipped_variations_change_what_they_say():
 )
 def test_the_word_on_the_first_line(task, upright, successes, word):
     """Nine of ten are enough: walked, stood, or neither."""
-    assert verdict(Robustness(50, upright, successes, None), find_task(task)) == word
+    assert verdict(Passed(50, upright, successes, 0.0), find_task(task)) == word
 
 
 def test_a_card_of_a_policy_that_holds(monkeypatch):

@@ -4,12 +4,13 @@ import numpy as np
 
 from op3.compliance.backdrive import BackDrive
 from op3.compliance.compare import difference
-from op3.compliance.compliance_study import Measured, Passed
+from op3.compliance.compliance_study import Measured
 from op3.compliance.energy import Energy
 from op3.compliance.gains import BINS, SITUATIONS, Gains
 from op3.compliance.landing import Landings
 from op3.compliance.leading import Led
 from op3.compliance.pushing import Survival
+from op3.compliance.robustness import Passed
 from op3.report import RunFolder, read_result
 from op3.report.compliance_page import report_compliance
 from tests.op3_table import CONTROLLED_JOINTS, JOINTS
@@ -24,7 +25,7 @@ def measured(label: str, force: float, rungs: int, successes: int) -> Measured:
     same, moved = np.full(200, 0.2), np.array([[0.1, 0.0, 0.2], [np.nan] * 3])
     return Measured(
         label=label,
-        passed={"walk": Passed(50, 50, 0.25), "walk_bricks_a": Passed(successes, 50, 0.25)},
+        passed={"walk": Passed(50, 50, 50, 0.25), "walk_bricks_a": Passed(50, 50, successes, 0.25)},
         landings=Landings(np.arange(200) // 10, force + noise, noise + 40, same, same / 10),
         survival=Survival(0.3 * (np.arange(10) + 0.5), survived),
         led={"trunk forwards": Led(np.array([1.0, 2.0]), moved, np.array([1.0, 0.0]))},

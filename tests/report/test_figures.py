@@ -18,11 +18,15 @@ from op3.report.trace_figures import bench_figures, body_figure, runs_figure, tr
 from op3.servo import Estimate, RobotModel
 from op3.servo.effects import DirectionalEfficiency, Motor
 
-JOINT = [("joint", "position"), ("joint", "velocity"), ("joint", "current")]
+
+def prediction(log, channels, seconds=0.48) -> Prediction:
+    """A prediction of one candidate from arrays ``[time, joint | 3]``."""
+    one = {key: torch.as_tensor(value[None]) for key, value in channels.items()}
+    return Prediction(log, one, torch.zeros(1, dtype=torch.bool), seconds)
 
 
 def simulated(log, factor):
-    return {key: factor * log.array(key) for key in log.channels if key[0] in ("joint", "imu")}
+    return prediction(log, {key: factor * log.array(key) for key in log.channels if key[0] in ("joint", "imu")})
 
 
 def y_titles(figure: go.Figure) -> list[str]:
@@ -80,7 +84,9 @@ def test_each_panel_has_one_trace_per_label():
 def test_traces_are_the_numbers_in_degrees():
     """The measured knee angle is drawn in degrees, the simulated one likewise."""
     log = squat_log()
-    figure = traces_figure(log, {"with DTE": simulated(log, 1.5)}, joints=["r_knee"], quantities=["joint/position"])
+    figure = traces_figure(
+        log, {"with DTE": simulated(log, 1.5)}, joints=["r_knee"], quantities=[("joint", "position")]
+    )
     knee = np.rad2deg(log.column("r_knee.position"))
     np.testing.assert_allclose(named(figure, "measured")[0].y, knee, rtol=1e-6)
     np.testing.assert_allclose(named(figure, "with DTE")[0].y, 1.5 * knee, rtol=1e-6)
@@ -99,7 +105,8 @@ def test_a_missing_channel_has_no_column_and_no_trace():
     log, whole = squat_log(leave_out=("joint/current",)), squat_log()
     figure = traces_figure(log, {"with DTE": simulated(whole, 1.0)})
     assert set(y_titles(figure)) == {"position [deg]", "velocity [rad/s]"}
-    figure = traces_figure(whole, {"with DTE": {("joint", "position"): whole.array("joint/position")}})
+    angles = prediction(whole, {("joint", "position"): whole.array("joint/position")})
+    figure = traces_figure(whole, {"with DTE": angles})
     assert (len(named(figure, "with DTE")), len(named(figure, "measured"))) == (2, 6)
 
 
@@ -111,28 +118,11 @@ def test_a_log_without_body_has_no_body_figure():
     assert y_titles(only) == ["roll [deg]", "pitch [deg]"]
 
 
-def test_predictions_of_the_simulator_are_taken_as_they_are():
-    """A `Prediction` of one candidate that ends early is drawn up to its end."""
+def test_a_prediction_that_ends_early_is_drawn_up_to_its_end():
+    """Thirty of sixty rows."""
     log = squat_log(rows=60)
-    half = {key: torch.as_tensor(value[None, :30]) for key, value in simulated(log, 1.1).items()}
-    prediction = Prediction(log, half, torch.zeros(1, dtype=torch.bool), 0.24)
-    assert {len(t.y) for t in named(traces_figure(log, {"with DTE": prediction}), "with DTE")} == {30}
-
-
-def test_several_candidates_are_refused():
-    """Two candidates under one label are ambiguous, and the error says what to do."""
-    log = squat_log()
-    two = {("joint", "position"): np.stack([log.array("joint/position")] * 2)}
-    with pytest.raises(ValueError, match="pick one candidate"):
-        traces_figure(log, {"with DTE": two})
-
-
-def test_an_unknown_joint_or_quantity_is_named():
-    """Errors name what was asked and what there is."""
-    with pytest.raises(ValueError, match="no joint 'tail'; its joints are l_knee, r_knee"):
-        traces_figure(squat_log(), {}, joints=["tail"])
-    with pytest.raises(ValueError, match="no joint/duty to draw; it has time, command/position"):
-        traces_figure(squat_log(), {}, quantities=["joint/duty"])
+    half = prediction(log, {key: value[0, :30].numpy() for key, value in simulated(log, 1.1).channels.items()})
+    assert {len(t.y) for t in named(traces_figure(log, {"with DTE": half}), "with DTE")} == {30}
 
 
 def test_body_angles_do_not_jump_by_a_turn():
@@ -140,7 +130,7 @@ def test_body_angles_do_not_jump_by_a_turn():
     log = squat_log()
     roll = np.linspace(3.0, 3.4, len(log))
     folded = np.stack([np.where(roll > np.pi, roll - 2 * np.pi, roll)] * 3, axis=1)
-    figure = body_figure(log, {"with DTE": {("imu", "orientation"): folded}})
+    figure = body_figure(log, {"with DTE": prediction(log, {("imu", "orientation"): folded})})
     assert figure is not None
     np.testing.assert_allclose(named(figure, "with DTE")[0].y, np.rad2deg(roll), rtol=1e-5)
 
@@ -182,6 +172,7 @@ def test_ranges_refuse_a_parameter_of_no_model():
 def test_bench_errors_are_boxes_by_motion_and_held_out_runs_apart():
     """Runs of one trajectory share a place, those held out have their own label, and a failed one has no error."""
     logs = [bench_log("sin_sin", 0.4, 8.0), bench_log("sin_sin", 0.2, 16.0), bench_log("lift_and_drop", 0.2, 8.0)]
-    figure = bench_figures(logs, {"M1": [{}, {}, {}]}, {"M1": [30.0, 20.0, None]}, [True, False, False])["errors"]
+    empty = [prediction(log, {}) for log in logs]
+    figure = bench_figures(logs, {"M1": empty}, {"M1": [30.0, 20.0, None]}, [True, False, False])["errors"]
     boxes = {box.name: dict(zip(box.x, box.y, strict=True)) for box in figure.data}
     assert boxes == {"M1, held out": {"sin sin": 30.0}, "M1": {"sin sin": 20.0}}

@@ -55,7 +55,7 @@ TABLE = (["parameter", "value [N m]"], [["friction", 0.251], ["stiction", None],
 @pytest.fixture
 def example(monkeypatch) -> Page:
     monkeypatch.setattr(PROSE_TEMPLATES, "loader", jinja2.DictLoader({"part.md": PROSE}))
-    figures, tables = {"no": None, "knees": traces_figure(squat_log(), {"with DTE": {}})}, {"parameters": TABLE}
+    figures, tables = {"no": None, "knees": traces_figure(squat_log(), {})}, {"parameters": TABLE}
     page = Page.of("part", figures, {"none": (["a"], []), **tables}, log="squat-0")
     page.provenance({"seed": 0, "versions": {"torch": "2.13.0"}})
     return page
