@@ -117,7 +117,7 @@ def test_one_world_and_resume(tmp_path):
     """A world is drawn, recorded, identified and written; the same command again has nothing left to do."""
     command = [
         sys.executable, str(BENCHMARKS / "interval_coverage.py"), "worlds=1", "motions=[squat_shallow]", "trials=4",
-        "refine={starts: 1, max_iterations: 1, race: 1}", f"hydra.run.dir={tmp_path}",
+        "refine={rounds: 1, batch: 4, polish: 1}", f"hydra.run.dir={tmp_path}",
     ]  # fmt: skip
     first = subprocess.run(command, capture_output=True, text=True, check=False)
     assert first.returncode == 0, first.stderr
