@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from op3.deploy.emulator import EmulatedRobot, Faults, LineTiming, Physics, SimPhysics, StandInPhysics
 from op3.deploy.operator import Operator
 from op3.deploy.registers import Units
 from op3.robot import Robot, load_robot
-from op3.scenes import BoardMotion, Waves, WeightSchedule, build_scene
+from op3.scenes import Waves, WeightSchedule, build_scene
 from op3.scenes.scene import check_scene
 from op3.sim import model_for
 from op3.stand_in import HiddenWorld
@@ -28,45 +27,24 @@ LOOK_EVERY = 0.032
 """Interval between observations of the robot's true motion [s]: once per policy step."""
 
 
-@dataclass(frozen=True, eq=False)
-class Place:
-    """Where the robot is put down: a scene, or the ground of a task's episode.
-
-    Attributes:
-        scene: a name that `op3.scenes.build_scene` knows.
-        board: what moves the board once the policy begins; None for a scene without one.
-        tiles: heights of the terrain's tiles [m]; None for a scene without them.
-    """
-
-    scene: str = "floor"
-    board: BoardMotion | WeightSchedule | None = None
-    tiles: NDArray[np.float64] | None = None
-
-    @classmethod
-    def of_task(cls, task: str | Task, seed: int) -> Place:
-        """The ground of a task's episode."""
-        task = find_task(task)
-        events = task.terms("events")
-        tiles = Terrain(**events["terrain"]).heights(seed) if "terrain" in events else None
-        return cls(task.scene, board_motion(seed=seed, **events["board"]) if "board" in events else None, tiles)
-
-    @property
-    def waiting(self) -> BoardMotion | WeightSchedule | None:
-        """What the board does until the policy begins: nothing."""
-        if isinstance(self.board, WeightSchedule):
-            return WeightSchedule(np.array(np.inf))
-        return None if self.board is None else Waves.still()
-
-
 class Hands(Operator):
     """An operator who agrees to everything, holds the robot up, and puts it down when it is ready.
 
     A robot without torque collapses, so it is energised and brought to its start pose in the air, hanging on the stand.
-    Putting it down makes the robot on the scene with the angles that its joints have, at rest.
+    Putting it down makes the robot on the scene with the angles that its joints have, at rest. Until the policy begins
+    a board stands still.
+
+    Args:
+        scene: where it is put down, a name that `op3.scenes.build_scene` knows.
+        task: whose scene and ground it is, moving as in the episode of the seed; None for the scene.
     """
 
-    def __init__(self, robot: EmulatedRobot, make: MakePhysics, place: Place):
-        self._robot, self._make, self._place = robot, make, place
+    def __init__(self, robot: EmulatedRobot, make: MakePhysics, scene: str, task: Task | None, seed: int):
+        self._robot, self._make = robot, make
+        events = {} if task is None else task.terms("events")
+        self._scene = scene if task is None else task.scene
+        self._board = board_motion(seed=seed, **events["board"]) if "board" in events else None
+        self._tiles = Terrain(**events["terrain"]).heights(seed) if "terrain" in events else None
         self.holding = True
         self._origin: float | None = None
         self._reached = 0.0
@@ -75,14 +53,16 @@ class Hands(Operator):
         """Put the robot down and say go."""
         if self.holding:
             self.holding = False
-            physics = self._make(self._place.scene, np.array(self._robot.physics.position))
-            physics.set_ground(self._place.waiting, self._place.tiles)
+            physics = self._make(self._scene, np.array(self._robot.physics.position))
+            weight = isinstance(self._board, WeightSchedule)
+            still = WeightSchedule(np.array(np.inf)) if weight else self._board and Waves.still()
+            physics.set_ground(still, self._tiles)
             self._robot.replace(physics)
         return True
 
     def begins(self) -> None:
         """Set the ground in motion, and measure from here how far the robot gets."""
-        self._robot.physics.set_ground(self._place.board)
+        self._robot.physics.set_ground(self._board)
         self._origin = self._reached = self._robot.physics.foremost()
         self._look()
 
@@ -159,15 +139,13 @@ def emulate(
         The robot, the operator who holds it, and what identifies the robot without telling its truth.
     """
     Units(load_robot(robot))  # refuses servos of another bus before anything is made of them
-    where, place = seed if world_seed is None else world_seed, Place(scene)
+    where, task = seed if world_seed is None else world_seed, None if task is None else find_task(task)
     make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed)
-    if task is not None:
-        place = Place.of_task(task, seed)
-    check_scene(place.scene, load_robot(robot))  # it is put down later, with torque on
+    check_scene(scene if task is None else task.scene, load_robot(robot))  # it is put down later, with torque on
     hanging = make("stand", joint_position)
     if jig:
         hanging.advance = lambda duration: None  # time passes, nothing moves
     emulated = EmulatedRobot(hanging, seed=seed, faults=faults, timing=timing, settings=settings, record=record)
     if powered:
         emulated.switch_on()
-    return emulated, Hands(emulated, make, place), identity
+    return emulated, Hands(emulated, make, scene, task, seed), identity

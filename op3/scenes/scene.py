@@ -101,6 +101,13 @@ class Scene:
         gravity = np.asarray(cast(Any, self.mjcf_model).option.gravity)
         return -rotation_matrix(self.tilt_roll, self.tilt_pitch).T @ gravity
 
+    def foremost(self, data: mujoco.MjData) -> float:
+        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
+        if self.robot is None or not self.robot_file.inner_tips:
+            return 0.0
+        points = self.robot.key_points
+        return max(float(data.site(points[tip].full_identifier).xpos[0]) for tip in self.robot_file.inner_tips)
+
     def compile(self, visual: bool = True) -> mujoco.MjModel:
         """A MuJoCo model of the tree as it is now. Every call recompiles.
 

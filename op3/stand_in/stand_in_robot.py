@@ -51,6 +51,9 @@ class StandIn:
         scene: with the robot, without servos attached.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
+
+    Attributes:
+        supply: voltage of the servos' supply [V]; None: the robot's own battery.
     """
 
     def __init__(self, world: HiddenWorld, scene: Scene, *, seed: int = 0):
@@ -86,6 +89,7 @@ class StandIn:
         self._resets = self._steps = self._board_since = 0
         self._due = self._late = 0.0
         self._losing = 0
+        self.supply: float | None = None
         self._board: BoardMotion | WeightSchedule | None = None
         self._drive: BoardDrive | WeightDrive | None = None
         self._push: tuple[Array, int] | None = None
@@ -128,16 +132,6 @@ class StandIn:
     def world_id(self) -> str:
         """Tells one world from another, and nothing else about it."""
         return self._world.identity
-
-    @property
-    def supply(self) -> float | None:
-        """Voltage of the supply [V], where it is not the robot's own battery."""
-        given = float(self.servos.robot["supply"][0])
-        return given if np.isfinite(given) else None
-
-    @supply.setter
-    def supply(self, voltage: float | None) -> None:
-        self.servos.robot["supply"] = np.nan if voltage is None else voltage
 
     def truth(self) -> dict[str, float | str | Array]:
         """Every hidden number, for scorers and tests alone: scalars, and [joint] where servos differ."""
@@ -217,12 +211,8 @@ class StandIn:
         self._push = np.array(force, dtype=float), self._steps + round(duration / self._world.timestep)
 
     def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 on a fixed base."""
-        robot, tips = self.scene.robot, self.scene.robot_file.inner_tips
-        if robot is None or not tips or not isinstance(self._bodies, Floor):
-            return 0.0
-        data = self._bodies.data
-        return max(float(data.site(robot.key_points[tip].full_identifier).xpos[0]) for tip in tips)
+        """See `op3.scenes.scene.Scene.foremost`; 0 on a fixed base."""
+        return self.scene.foremost(self._bodies.data) if isinstance(self._bodies, Floor) else 0.0
 
     def write_current(self, current: ArrayLike, delay: float = 0.0) -> None:
         """Give the servos new goal currents.
@@ -296,6 +286,7 @@ class StandIn:
         self._bodies.run(stop - steps)
         self._steps = stop
         if stop % self._per_tick == 0:
+            self.servos.robot["supply"] = np.nan if self.supply is None else self.supply
             self.servos.tick(self._rng)
             if self._has_imu:
                 self._imu.step(*self._bodies.trunk(), self._rng)

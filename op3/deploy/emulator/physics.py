@@ -25,17 +25,11 @@ class Physics(Protocol):
 
     Attributes:
         known: what its file says; its joints are in the order of every [joint] array.
+        supply: voltage of the supply [V]; None where the robot has its own battery.
     """
 
     known: Robot
-
-    @property
-    def supply(self) -> float | None:
-        """Voltage of the supply [V]; None where the robot has its own battery."""
-        ...
-
-    @supply.setter
-    def supply(self, voltage: float | None) -> None: ...
+    supply: float | None
 
     @property
     def position(self) -> Array:

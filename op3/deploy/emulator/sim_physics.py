@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -107,6 +106,7 @@ class SimPhysics(BatchSimulation):
         self._blend = 1 - np.exp(-2 * np.pi * IMU_BANDWIDTH * PERIOD * IMU_EVERY)
         self._steps = self._board_since = 0
         self._board_drive: Any = None
+        self._data = mujoco.MjData(self.batch.model)
         if joint_position is None:
             joint_position = self.known.home
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
@@ -174,17 +174,9 @@ class SimPhysics(BatchSimulation):
 
     def foremost(self) -> float:
         """See `Physics`."""
-        model, robot, data = self.batch.model, self.scene.robot, self._data
-        if robot is None or not self.known.inner_tips:
-            return 0.0
-        data.qpos[:] = self._qpos[0].numpy()
-        mujoco.mj_kinematics(model, data)
-        tips = [robot.key_points[number].full_identifier for number in self.known.inner_tips]
-        return max(float(data.site(name).xpos[0]) for name in tips)
-
-    @cached_property
-    def _data(self) -> mujoco.MjData:
-        return mujoco.MjData(self.batch.model)
+        self._data.qpos[:] = self._qpos[0].numpy()
+        mujoco.mj_kinematics(self.batch.model, self._data)
+        return self.scene.foremost(self._data)
 
     def _step_slow(self) -> None:
         rise = self._thermal_resistance * self._resistance * self.signals.current[0].numpy() ** 2
