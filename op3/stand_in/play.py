@@ -53,8 +53,8 @@ class FloorExcitation(Excitation):
 def play(
     robot: Any,
     motion: Motion,
-    p_gain: ArrayLike,
-    d_gain: ArrayLike,
+    p_gain: ArrayLike = 6.0,
+    d_gain: ArrayLike = 0.1,
     *,
     recording: str | None = None,
     settle: float = 1.5,
@@ -63,14 +63,22 @@ def play(
     metadata: dict[str, Any] | None = None,
     **placed: Any,
 ) -> Rollout:
-    """Follow a motion and record it; see `StandIn.play`.
+    """Follow a motion with the PD of the robot's computer and record it.
 
     Args:
         robot: a `StandIn`.
+        motion: targets; joints that it does not name stay in the pose "stand".
+        p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
+        d_gain: the same [A s/rad].
+        recording: identity of the recording.
+        settle: how long the first pose is held before the recording starts [s].
         still: whether the recording waits, after `settle`, until the joints are at rest.
         pushes: of the trunk, in the order of their times since the recording began.
-        metadata: fields of the log that are not as usual.
+        metadata: fields of the log that are not as usual, such as a pendulum's mass and length.
         placed: how the robot is put down, see `StandIn.reset`.
+
+    Returns:
+        A rollout at 125 Hz, whose first rows are at rest where it waits for that.
     """
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")

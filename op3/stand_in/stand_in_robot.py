@@ -8,15 +8,12 @@ from __future__ import annotations
 import dataclasses
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from op3.motions import Motion
 from op3.robot import ServoMake
-from op3.rollout import Rollout
 from op3.scenes import (
     BoardDrive,
     BoardMotion,
@@ -325,31 +322,8 @@ class StandIn:
             read.update(orientation=self._imu.orientation, angular_velocity=rates, linear_acceleration=force)
         return Sensors(**read)
 
-    def play(
-        self,
-        motion: Motion,
-        p_gain: ArrayLike = 6.0,
-        d_gain: ArrayLike = 0.1,
-        *,
-        recording: str | None = None,
-        settle: float = 1.5,
-        metadata: dict[str, Any] | None = None,
-    ) -> Rollout:
-        """Follow a motion with the PD of the robot's computer and record it.
-
-        Args:
-            motion: targets; joints that it does not name stay in the pose "stand".
-            p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
-            d_gain: the same [A s/rad].
-            recording: identity of the recording.
-            settle: how long the first pose is held before the recording starts [s]; longer if the robot is not at
-                rest by then.
-            metadata: fields of the log that are not as usual, such as a pendulum's mass and length.
-
-        Returns:
-            A rollout at 125 Hz whose first rows are at rest.
-        """
-        return play(self, motion, p_gain, d_gain, recording=recording, settle=settle, metadata=metadata)
+    play = play
+    """Follow a motion and record it, see `op3.stand_in.play.play`."""
 
     def skip(self) -> None:
         """Count a recording that exists already, so that the next is as it would have been after it."""
