@@ -13,7 +13,7 @@ from torch import Tensor
 from op3.servo import RobotModel, Servos
 from op3.sim.edits import edited_fields
 from op3.sim.exchange import hand_over, read
-from op3.sim.inputs import expand_parameters, fresh_start, set_commands
+from op3.sim.inputs import expand_parameters, fresh_start, set_commands, steps_in
 from op3.sim.ports import ServoPorts
 from op3.sim.trunk_sensors import BaseBody, readings, undo_sensing
 
@@ -54,9 +54,7 @@ class BatchSimulation:
         num_threads: int = 0,
     ):
         self.timestep = float(mj_model.opt.timestep)
-        self.substeps = round(control_period / self.timestep)
-        if self.substeps < 1 or abs(self.substeps * self.timestep - control_period) > 1e-9:
-            raise ValueError(f"control_period {control_period} s must be a multiple of the time step {self.timestep} s")
+        self.substeps = steps_in(control_period, self.timestep)
         self.model = model
         self.num_sims = num_sims
         self.joint_names = tuple(joint_names or (name.rsplit("/", 1)[-1] for name in joints))

@@ -13,7 +13,7 @@ from torch import Tensor
 from op3.servo import RobotModel, Servos
 from op3.sim.edits import edited_fields, model_field
 from op3.sim.exchange import hand_over, read
-from op3.sim.inputs import expand_parameters, fresh_start, set_commands
+from op3.sim.inputs import expand_parameters, fresh_start, set_commands, steps_in
 from op3.sim.ports import ServoPorts, attach_servos
 from op3.sim.trunk_sensors import BaseBody, readings
 
@@ -80,9 +80,7 @@ class GearedServo(composer.Entity):
         self._base = None if base < 0 else BaseBody.find(model, base)
         values = expand_parameters(self.model, self.joint_names, {}, 1)
         timestep = float(model.opt.timestep)
-        self._every, period = round(self._control_period / timestep), self._control_period
-        if self._every < 1 or abs(self._every * timestep - period) > 1e-9:
-            raise ValueError(f"control_period {period} s must be a multiple of the time step {timestep} s")
+        self._every = steps_in(self._control_period, timestep)
         self.law = Servos(self.model.effects, self.joint_names, 1, timestep, self._control_period)
         self.law.set(values)
         self.signals, self._at = self.law.signals, self.ports.table

@@ -15,6 +15,14 @@ REFERENCE_TEMPERATURE = 25.0
 """Temperature assumed where none is measured [C]: a model's parameters hold at it."""
 
 
+def steps_in(period: float, timestep: float) -> int:
+    """Steps of the simulation in a period [s]; a ValueError unless it is a multiple of the time step [s]."""
+    steps = round(period / timestep)
+    if steps < 1 or abs(steps * timestep - period) > 1e-9:
+        raise ValueError(f"control_period {period} s must be a multiple of the time step {timestep} s")
+    return steps
+
+
 def fresh_start(signals: Signals, model: RobotModel, rows: Any = slice(None)) -> None:
     """A start before any command: torque on, gains zero, the joints' own positions, voltage of the model, 25 C."""
     for name in (*COMMANDS, "current", "time"):

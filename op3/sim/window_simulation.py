@@ -27,7 +27,7 @@ from torch import Tensor
 
 from op3.servo import RobotModel, Servos
 from op3.servo.effects import EncoderNonlinearity, EncoderOffset
-from op3.sim.inputs import REFERENCE_TEMPERATURE, expand_parameters
+from op3.sim.inputs import REFERENCE_TEMPERATURE, expand_parameters, steps_in
 from op3.sim.trajectories import TrajectoryDynamics
 from op3.sim.window_steps import INPUTS, MOTION, SLOTS, STATE, coupled, simulate
 
@@ -122,9 +122,7 @@ class WindowSimulation:
         if not windows:
             raise ValueError("there is no window to simulate: the logs are too short")
         period = motions[0].period
-        self.substeps = round(period / timestep)
-        if self.substeps < 1 or abs(self.substeps * timestep - period) > 1e-9:
-            raise ValueError(f"the time step {timestep} s must divide the period {period} s")
+        self.substeps = steps_in(period, timestep)
         if any(abs(motion.period - period) > 1e-9 for motion in motions):
             raise ValueError("motions of different periods cannot be simulated together")
         if len({motion.supply_resistance for motion in motions}) > 1:
@@ -198,7 +196,7 @@ class WindowSimulation:
                 begin, end, room, room.view(np.float64), law.past[0].copy(), law.parameters, law.on, self._motion,
                 self._along, self._damping, self._starts, self._dynamics_starts, edits, weights, misread, offsets,
                 self.limbs, np.empty(entries), np.empty(entries), np.empty(len(edits)), np.empty((2, joints, joints)),
-                np.zeros((SLOTS, joints)), self.preroll, round(self.period / self.timestep), self.timestep,
+                np.zeros((SLOTS, joints)), self.preroll, self.substeps, self.timestep,
                 self._supply_resistance, out,
             )  # fmt: skip
 
