@@ -9,7 +9,6 @@ import struct
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ RANGES = {"forward": (-0.1, 0.3), "sideways": (-0.1, 0.1), "turning": (-0.5, 0.5
 LOW, HIGH = (np.array([bounds[side] for bounds in RANGES.values()]) for side in (0, 1))
 
 
-class CommandSource(Protocol):
+class CommandSource:
     """Says what velocity is asked for."""
 
     def at(self, time: float) -> Array | None:
@@ -36,11 +35,10 @@ class CommandSource(Protocol):
         Args:
             time: since the policy began [s].
         """
-        ...
+        raise NotImplementedError
 
     def close(self) -> None:
-        """Give back what was opened."""
-        ...
+        """Give back what was opened, if anything was."""
 
 
 def command_source(name: str) -> CommandSource:
@@ -63,7 +61,7 @@ def command_source(name: str) -> CommandSource:
     )
 
 
-class Schedule:
+class Schedule(CommandSource):
     """Commands from a YAML file.
 
         commands:  # each holds until the next; the last one ends standing
@@ -97,11 +95,8 @@ class Schedule:
         number = int(np.searchsorted(self._times, time + 1e-9, side="right")) - 1
         return STANDING.copy() if number < 0 else self._values[number].copy()
 
-    def close(self) -> None:
-        """Nothing is open."""
 
-
-class Function:
+class Function(CommandSource):
     """Commands from a Python function of the time; it raises or returns None when it has no more.
 
     Args:
@@ -125,11 +120,8 @@ class Function:
             return None
         return None if asked is None or asked.shape != (3,) or not np.isfinite(asked).all() else limited(asked)
 
-    def close(self) -> None:
-        """Nothing is open."""
 
-
-class Keyboard:
+class Keyboard(CommandSource):
     """Keys in a terminal: w and s for speed, a and d to turn, q and e sideways, space to stop; x ends commanding.
 
     Args:
@@ -179,7 +171,7 @@ class Keyboard:
             termios.tcsetattr(self._stream, termios.TCSADRAIN, self._before)
 
 
-class Gamepad:
+class Gamepad(CommandSource):
     """A gamepad of Linux: the left stick moves, the right one turns; unplugging it loses the source.
 
     Events of the joystick interface are 8 bytes: time [ms], value, kind, number (kernel, Documentation/input/joydev).

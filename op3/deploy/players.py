@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from op3.deploy.connection import EMULATED, POLICY_RATE, Plan, connect, run
 from op3.deploy.exit_codes import ExitCode, Stop
-from op3.deploy.limits import Limits
 from op3.deploy.phases import FollowMotion
 from op3.deploy.policy_runner import FollowPolicy, PolicyRunner
 from op3.deploy.session import SessionOutcome
@@ -32,7 +31,6 @@ class Player:
         folder: where the ticks of all runs are kept.
         calibration: file with the joints' offsets; None for none.
         confirm: whether a person is asked before torque.
-        end_pose: pose in which the robot is let go.
         seed: of an emulated robot; the k-th recording adds k.
         report: where lines for the operator go; None for the terminal, above the live view.
         emulation: further options of `op3.deploy.emulated.emulate`.
@@ -45,17 +43,15 @@ class Player:
         *,
         folder: str | Path,
         robot: str | Robot,
-        limits: Limits | None = None,
         calibration: str | Path | None = None,
         confirm: bool = True,
-        end_pose: str | None = None,
         seed: int = 0,
         report: Callable[[str], None] | None = None,
         **emulation: Any,
     ):
         self._port, self._robot = port, robot
         self._common: dict[str, Any] = dict(robot=robot, mount=mount, confirm=confirm, calibration=calibration)
-        self._folder, self._limits, self._end_pose = Path(folder), limits or Limits(), end_pose
+        self._folder = Path(folder)
         self._seed, self._emulation, self._report = seed, emulation, report
         self._count = 0
 
@@ -93,7 +89,7 @@ class Player:
             Stop: if the policy did not come to command the robot.
         """
         task = None if task is None else find_task(task)
-        runner = PolicyRunner(bundle, cycle, robot=self._robot, p_gain=self._limits.p_gain)
+        runner = PolicyRunner(bundle, cycle, robot=self._robot)
         return self._record(
             lambda: FollowPolicy(runner, duration),
             recording,
@@ -111,7 +107,7 @@ class Player:
     def _record(self, make: Any, recording: str | None, ground: Task | None = None, **options: Any) -> Rollout:
         name = recording or f"recording-{self._count}"
         _set_aside(self._folder / name)
-        plan = Plan(limits=self._limits, end_pose=self._end_pose, folder=self._folder / name)
+        plan = Plan(folder=self._folder / name)
         emulation: dict[str, Any] = {}
         if self._port == EMULATED:
             emulation = {**self._emulation, "seed": self._seed + self._count, "task": ground}
