@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import re
 import resource
@@ -133,24 +132,20 @@ def test_saved_data_is_a_memory_mapped_tensordict(tmp_path):
     assert torch.equal(data["imu", "orientation"], rollout().data["imu", "orientation"])
 
 
-@pytest.mark.parametrize("file", ["meta.json", "joint/meta.json", "time.memmap"])
-def test_broken_folders_are_refused(tmp_path, file):
+NO_SHAPE = '{"position": {"dtype": "torch.float64", "shape": ["nan"]}, "shape": [30]}'
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [("meta.json", "{"), ("joint/meta.json", "{"), ("joint/meta.json", NO_SHAPE), ("time.memmap", "")],
+)
+def test_broken_folders_are_refused(tmp_path, file, content):
     """A file of the data folder that is garbled or missing is named, and not filled with zeros."""
     rollout().save(tmp_path / "run")
-    (tmp_path / "run" / "data" / file).write_text("{")
+    (tmp_path / "run" / "data" / file).write_text(content)
     assert file in load_error(Rollout.load, tmp_path / "run")
     (tmp_path / "run" / "data" / file).unlink()
     assert file in load_error(Rollout.load, tmp_path / "run")
-
-
-def test_a_shape_of_words_is_refused(tmp_path):
-    """A channel whose shape is no numbers is told in a sentence, and not repeated in it."""
-    rollout().save(tmp_path / "run")
-    meta = tmp_path / "run" / "data" / "joint" / "meta.json"
-    content = json.loads(meta.read_text())
-    content["position"]["shape"] = ["nan"] * 2
-    meta.write_text(json.dumps(content))
-    assert "joint/meta.json: the file is missing or broken" in load_error(Rollout.load, tmp_path / "run")
 
 
 def test_saving_never_overwrites_unasked(tmp_path):
@@ -164,18 +159,6 @@ def test_saving_never_overwrites_unasked(tmp_path):
     with pytest.raises(LogError, match="other than a rollout"):
         rollout().save(tmp_path / "thesis", overwrite=True)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "thesis"]
-
-
-def test_a_failed_save_leaves_nothing(tmp_path, monkeypatch):
-    """When writing fails half way, neither the folder nor a temporary one remains."""
-
-    def full_disk(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("op3.rollout.rollout.write_text", full_disk)
-    with pytest.raises(OSError, match="No space"):
-        rollout().save(tmp_path / "run")
-    assert list(tmp_path.iterdir()) == []
 
 
 SCHEMA_OFFENCES = {

@@ -127,14 +127,6 @@ def test_metadata_holds_no_truth():
     )
 
 
-def test_saved_and_loaded(tmp_path):
-    """A recording survives the disk."""
-    log = StandIn(HiddenWorld(), build_scene("stand", "op3")).play(SHORT, settle=0.1)
-    loaded = Rollout.load(log.save(tmp_path / "log"))
-    assert loaded.metadata == log.metadata
-    assert loaded.array("joint/position").tobytes() == log.array("joint/position").tobytes()
-
-
 def test_a_fall_is_written_down():
     """A robot without gains collapses, and the metadata says so."""
     straight = Motion(np.arange(250) / 125, np.tile(pose("zero", "op3"), (250, 1)), name="collapse", robot="op3")
@@ -159,14 +151,6 @@ def test_low_gains_sag_more():
     assert (soft.column("l_knee.p_gain") == 1.5).all()
 
 
-def test_gains_by_row():
-    """Gains may change from row to row."""
-    motion = hold(pose("stand", "op3"), 0.08, robot="op3")
-    gains = np.linspace(1, 6, 10)[:, None] * np.ones(20)
-    log = StandIn(HiddenWorld(), build_scene("stand", "op3")).play(motion, p_gain=gains, settle=0.1)
-    assert log.array("command/p_gain").tolist() == gains.tolist()
-
-
 def test_slow_and_partial_motions():
     """A motion at another rate is held between its rows; joints it does not name stay in the pose "stand"."""
     motion = Motion(np.array([0.0, 0.016, 0.048]), np.array([[0.1], [0.2], [0.3]]), ("head_pan",), robot="op3")
@@ -189,14 +173,6 @@ def test_bad_arguments(arguments, message):
     """They are refused before anything moves."""
     with pytest.raises(ValueError, match=message):
         StandIn(HiddenWorld(), build_scene("stand", "op3")).play(SHORT, **arguments)
-
-
-def test_targets_beyond_the_soft_limits_are_refused():
-    """No robot is told to go where software must keep it from; the message names joint, angle and limit."""
-    with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
-        StandIn(HiddenWorld(), build_scene("stand", "op3")).play(
-            Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",), robot="op3")
-        )
 
 
 def test_the_bench_plays_a_motion_of_its_own():

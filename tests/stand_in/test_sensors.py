@@ -9,7 +9,7 @@ from op3.robot import quaternion
 from op3.robot.kinematics import roll_pitch_yaw
 from op3.robot.register_units import ACCELERATION_UNIT, GYRO_UNIT
 from op3.stand_in import HiddenWorld
-from op3.stand_in.sensors import Imu, quantise
+from op3.stand_in.sensors import Imu
 
 QUIET = HiddenWorld(gyro_noise=0.0, gyro_bias=0.0, accelerometer_noise=0.0)
 LEVEL = np.array([1.0, 0, 0, 0])
@@ -20,14 +20,6 @@ GRAVITY = np.array([0, 0, 9.81])
 def test_orientation_convention(roll, pitch, yaw):
     """Roll, pitch and yaw are those of R = Rz(yaw) Ry(pitch) Rx(roll)."""
     assert roll_pitch_yaw(quaternion(roll, pitch, yaw)) == pytest.approx([roll, pitch, yaw], abs=1e-7)
-
-
-@given(st.floats(-100, 100), st.floats(1e-3, 1.0))
-def test_quantise(value, unit):
-    """The result is a whole number of units, at most half a unit away."""
-    result = float(quantise(np.array(value), unit))
-    assert abs(result - value) <= unit / 2 * (1 + 1e-9)
-    assert result / unit == pytest.approx(round(result / unit), abs=1e-9)
 
 
 def test_gyro_bandwidth():

@@ -8,7 +8,7 @@ from op3.deploy.emulator import SimPhysics, StandInPhysics
 from op3.robot import pose
 from op3.scenes import build_scene
 from op3.sim import BatchSimulation, attach_servos, load_model
-from op3.stand_in import HiddenWorld, StandIn
+from op3.stand_in import HiddenWorld
 from tests.op3_table import JOINTS
 
 KNEE = JOINTS.index("l_knee")
@@ -87,24 +87,6 @@ def test_the_simulation_behind_the_bus_is_the_simulation():
         direct.advance()
     measured = direct.measure()["joint", "position"][0].numpy()
     assert np.abs(physics.position - measured).max() < 1e-9
-
-
-def test_the_stand_in_behind_the_bus_is_the_stand_in():
-    """The same currents move it as they move a stand-in of its own."""
-    physics, direct = (
-        StandInPhysics(HiddenWorld(), build_scene("floor", "op3"), seed=3),
-        StandIn(HiddenWorld(), build_scene("floor", "op3"), seed=3),
-    )
-    direct.reset(pose("stand", "op3"))
-    sensors = direct.read_sensors()  # a reading draws from the same random numbers as the servos do
-    for number in range(50):
-        current = 0.3 * np.sin(0.3 * number + np.arange(20))
-        drive(physics, current)
-        direct.write_current(current)
-        physics.advance(0.004)
-        direct.advance(0.004)
-        sensors = direct.read_sensors()
-    assert (physics.position == sensors.position).all()
 
 
 @pytest.mark.parametrize("scene", ["floor", "stand", "bench"])
