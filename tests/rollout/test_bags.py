@@ -88,14 +88,74 @@ def read(folder: Path, *sent: Iterable[Sent]) -> Rollout:
     return read_log(path)
 
 
-def states(topic: str = "/joint_states", speed: float = 1.0, ahead: float = 0.0, angles: np.ndarray = POSITION):
+def states(
+    topic: str = "/joint_states",
+    speed: float = 1.0,
+    ahead: float = 0.0,
+    angles: np.ndarray = POSITION,
+    joints: Iterable[str] = JOINTS,
+) -> list[Sent]:
     """States; headers run at another speed than the bag, and ahead of it."""
-    return [(topic, STATE, BEGIN + t / speed, state(BEGIN + t + ahead, q)) for t, q in zip(TIME, angles, strict=True)]
+    return [
+        (topic, STATE, BEGIN + t / speed, state(BEGIN + t + ahead, q, joints))
+        for t, q in zip(TIME, angles, strict=True)
+    ]
 
 
 def commands(order: list[int], speed: float = 1.0) -> list[Sent]:
     """Arrays of the joints' targets in an order."""
     return [("/arm/commands", ARRAY, BEGIN + t / speed, array(target(t)[0][order])) for t in TIME]
+
+
+def named_commands() -> list[Sent]:
+    """Trajectories of one point, which is due at once."""
+    return [("/arm/joint_trajectory", TRAJECTORY, BEGIN + t, trajectory([0.0], target(t))) for t in TIME]
+
+
+def test_numbers_go_by_the_names_of_their_message(tmp_path):
+    """Joints may come in another order now and then."""
+    ways = np.where(np.arange(len(TIME)) // 3 % 2, -1, 1)
+    sent = [
+        ("/joint_states", STATE, BEGIN + t, state(BEGIN + t, q[::way], JOINTS[::way]))
+        for t, q, way in zip(TIME, POSITION, ways, strict=True)
+    ]
+    log = read(tmp_path, sent, named_commands())
+    assert log.joints == JOINTS
+    assert np.array_equal(log.array("joint/position"), POSITION[: log.rows])
+
+
+def test_commands_without_the_namespace_of_the_states_are_of_the_same_joints(tmp_path):
+    """A namespace becomes a part of the name."""
+    log = read(tmp_path, states(joints=[f"arm/{joint}" for joint in JOINTS]), named_commands())
+    assert log.joints == tuple(f"arm_{joint}" for joint in JOINTS)
+    assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])).max() < 0.03
+
+
+@pytest.mark.parametrize("count", [3, 1])
+def test_a_relay_changes_nothing(tmp_path, count):
+    """Of all joints, or of one."""
+    relay = states("/relay/joint_states", angles=POSITION[:, :count], joints=JOINTS[:count])
+    log = read(tmp_path, states(), relay, named_commands())
+    assert np.array_equal(log.array("joint/position"), POSITION[: log.rows])
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (states("/r/joint_states", angles=POSITION + 0.1), "both publish it, with different values"),
+        (states("/r/joint_states", joints=("a", "a", "b")), "names a twice in one message; give every joint a name"),
+    ],
+)
+def test_two_robots_and_two_joints_of_a_name_are_refused(tmp_path, other, said):
+    """Which of both is meant cannot be known."""
+    with pytest.raises(LogError, match=said):
+        read(tmp_path, states(), other, named_commands())
+
+
+def test_states_that_nobody_commands_are_refused(tmp_path):
+    """With the names on both sides."""
+    with pytest.raises(LogError, match=r"there are a.target, b.target, c.target, but none belongs to x, y, z"):
+        read(tmp_path, states(joints=("x", "y", "z")), named_commands())
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])

@@ -282,103 +282,12 @@ def test_what_contradicts_in_a_dataset_is_refused(tmp_path, file, change, said):
         read_log(path)
 
 
-Messages = Callable[[int, Any], Any]
-"""A message of a row, changed."""
-
-
-def bag(folder: Path, **states: Messages) -> Path:
-    """The bag of `ros2` with states on some topics, as changed, by the first part of a topic's name."""
-    rosbag2, highlevel = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2", "highlevel"))
-    from rosbags.typesys import Stores, get_typestore
-
-    store, path, lines = get_typestore(Stores.ROS2_HUMBLE), folder / "changed", {}
-    folder.mkdir(exist_ok=True)
-    with (
-        rosbag2.Writer(path, version=9) as out,
-        highlevel.AnyReader([ros2(folder)], default_typestore=store) as sound,
-    ):
-        for row, (line, time, raw) in enumerate(sound.messages()):
-            for name, change in states.items() if line.topic == "/joint_states" else [("", lambda _, message: message)]:
-                topic = f"/{name}/joint_states" if name else line.topic
-                message = change(row, sound.deserialize(raw, line.msgtype))
-                if topic not in lines:
-                    lines[topic] = out.add_connection(topic, line.msgtype, typestore=store)
-                out.write(lines[topic], time, store.serialize_cdr(message, line.msgtype))
-    return path
-
-
-def same(_: int, message: Any) -> Any:
-    """A relay."""
-    return message
-
-
-def turned(row: int, message: Any) -> Any:
-    """Joints are in another order now and then."""
-    if row // 3 % 2:
-        message.name = message.name[::-1]
-        message.position, message.velocity = message.position[::-1].copy(), message.velocity[::-1].copy()
-    return message
-
-
-def partly(_: int, message: Any) -> Any:
-    """A relay of one joint."""
-    message.name, message.position, message.velocity = message.name[:1], message.position[:1], message.velocity[:1]
-    return message
-
-
-def moved(_: int, message: Any) -> Any:
-    """Another robot."""
-    message.position = message.position + 0.1
-    return message
-
-
-def called_otherwise(_: int, message: Any) -> Any:
-    """Joints have other names."""
-    message.name = ["x", "y"]
-    return message
-
-
-def test_a_bag_whose_joints_change_their_order(tmp_path):
-    """Numbers go by their names."""
-    log, sound = read_log(bag(tmp_path, arm=turned)), read_log(tmp_path / "bag_sqlite3")
-    assert log.joints == sound.joints
-    assert np.array_equal(log.array("joint/position"), sound.array("joint/position"))
-
-
-def spaced(_: int, message: Any) -> Any:
-    """Names with a namespace."""
-    message.name = [f"arm/{name}" for name in message.name]
-    return message
-
-
-def test_a_bag_whose_joints_have_namespaces(tmp_path):
-    """Commands without the namespace of the states are of the same joints."""
-    log, plain = read_log(bag(tmp_path / "spaced", arm=spaced)), read_log(bag(tmp_path / "plain", arm=same))
-    assert set(log.joints) == {f"arm_{name}" for name in plain.joints}
-    order = [log.joints.index(f"arm_{name}") for name in plain.joints]
-    np.testing.assert_array_equal(log.array("command/position")[:, order], plain.array("command/position"))
-
-
 def test_a_part_of_a_sage_pair_names_the_folder(tmp_path):
     """A part is no CSV of its own."""
     path = sage(tmp_path)
     for name in ("control.csv", "state_motor.csv"):
         with pytest.raises(LogError, match=f"one part of a SAGE pair; name its folder, {path.name}"):
             read_log(path / name)
-
-
-def test_a_bag_of_two_sources(tmp_path):
-    """A relay changes nothing; two robots, and states that nobody commands, are refused."""
-    relayed = read_log(bag(tmp_path / "relay", arm=same, all=same))
-    assert relayed.rows == read_log(tmp_path / "relay" / "bag_sqlite3").rows
-    relayed = read_log(bag(tmp_path / "part", arm=same, one=partly))
-    assert np.array_equal(
-        relayed.array("joint/position"), read_log(tmp_path / "part" / "bag_sqlite3").array("joint/position")
-    )
-    with pytest.raises(LogError, match=r"/r./joint_states and /r./joint_states both publish it, with different values"):
-        read_log(bag(tmp_path / "two", r1=same, r2=moved))
-    with pytest.raises(LogError, match=r"there are shoulder.target, elbow.target, but none belongs to x, y"):
-        read_log(bag(tmp_path / "names", arm=called_otherwise))
 
 
 @pytest.mark.parametrize(
@@ -613,17 +522,6 @@ def test_what_is_told_to_turn_is_no_target_of_a_position():
         "hip_q": "hip.position",
         "hip_q_des": "hip.target",
     }
-
-
-def test_a_joint_named_twice_in_a_message_is_refused(tmp_path):
-    """Which of both is meant cannot be known."""
-
-    def twice(_: int, message: Any) -> Any:
-        message.name[1] = message.name[0]
-        return message
-
-    with pytest.raises(LogError, match=r"names .* twice in one message; give every joint a name of its own"):
-        read_log(bag(tmp_path, robot=twice))
 
 
 def test_a_log_ends_where_one_joint_stops_reporting(tmp_path):
