@@ -140,7 +140,7 @@ def check_made_for(motion: Motion, robot: str) -> None:
     if load_robot(motion.robot).path != known.path:
         general = "chirp, multisine, staircase or triangle"
         raise ValueError(
-            f"motion {motion.name!r} is made for {motion.robot}, not for {known.name}; choose motion={general}"
+            f"motion {motion.name!r} is for the robot {motion.robot}, not for {known.name}; choose motion={general}"
         )
 
 

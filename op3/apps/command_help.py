@@ -106,6 +106,6 @@ def usage(config: str) -> str:
     if listed:
         parts += ["Groups (group=name):", "\n".join(listed)]
     if asked := asked_for(config):
-        parts.append(f"`{asked}=` may be omitted before the first argument.")
-    parts.append("Several values (seed=0,1,2) run one after the other with -m; --cfg job prints all settings.")
+        parts.append(f"`{asked}=` may be omitted for the first argument.")
+    parts.append("With -m, several values (seed=0,1,2) start one run each; --cfg job prints all settings.")
     return "\n\n".join(parts)

@@ -19,6 +19,7 @@ from op3.apps.command_result import CommandResult
 from op3.apps.current_run import output_folder
 from op3.apps.diagnose import diagnose
 from op3.apps.progress import ProgressLine
+from op3.common.plain_names import words
 from op3.report.tables import in_thousandths, span
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
 from op3.stand_in.bench import commit
@@ -36,7 +37,7 @@ def record(case: Case, folder: Path) -> Path:
 
 def where(joints: list[str], shared: bool) -> str:
     """Joints in words."""
-    return "all joints" if shared else " and ".join(joints)
+    return "all joints" if shared else " and ".join(map(words, joints))
 
 
 def hidden(answer: Mapping[str, Any]) -> str:
@@ -44,16 +45,16 @@ def hidden(answer: Mapping[str, Any]) -> str:
     texts = []
     for effect in answer["effects"]:
         kind = KINDS[effect["name"]]
-        size = f"{kind.parameter or kind.meaning} {kind.catalogue_size(effect['size']):.3g}"
-        texts.append(f"{effect['name']} in {where(effect['joints'], effect['shared'])} ({size})")
+        size = f"{words(kind.parameter or kind.meaning)} {kind.catalogue_size(effect['size']):.3g}"
+        texts.append(f"{words(effect['name'])} in {where(effect['joints'], effect['shared'])} ({size})")
     return "; ".join(texts)
 
 
 def named(finding: Mapping[str, Any]) -> str:
     """A finding in a line."""
     return (
-        f"{finding['effect']} in {where(finding['joints'], finding['shared'])}, probability"
-        f" {finding['probability']:.2f} ({finding['parameter']} {span((finding['size'], *finding['interval']))})"
+        f"{words(finding['effect'])} in {where(finding['joints'], finding['shared'])}, probability"
+        f" {finding['probability']:.2f} ({words(finding['parameter'])} {span((finding['size'], *finding['interval']))})"
     )
 
 
@@ -66,11 +67,11 @@ def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) 
     findings = [named(finding) for finding in content["findings"]] or [
         "nothing; the diagnosis missed the hidden effect"
     ]
-    added = [finding["effect"] for finding in content["findings"]]
+    added = [words(finding["effect"]) for finding in content["findings"]]
     lines = {
         "named": "\n          ".join(findings),
         "hidden": hidden(answer),
-        "gap": f"from baseline fit to returned model, held-out runs in free run: {'; '.join(gaps)}",
+        "gap": f"free-run error of held-out runs, baseline fit to returned model: {'; '.join(gaps)}",
         "model": f"{folder / 'model.yaml'}" + (f", with {', '.join(added)} added" if added else ""),
         "page": str(folder / "index.html"),
         "next": f"op3 view {folder}",
@@ -86,7 +87,7 @@ def main(cfg: DictConfig) -> CommandResult:
     case = draw_case(cfg.seed, "single", cfg.severity, cfg.hidden_effect, robot=cfg.hidden_robot)
     sealed = commit([case], folder / "answers")
     digest = hashlib.sha256(sealed.read_bytes()).hexdigest()
-    print(f"A robot with a hidden effect; the answer is sealed, SHA-256 {digest[:16]}.", flush=True)
+    print(f"An effect is hidden in a simulated robot. SHA-256 of the sealed answer: {digest[:16]}", flush=True)
     data = record(case, folder / "data")
     windows = [] if cfg.windows is None else [f"windows={cfg.windows}"]
     found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb.mode, folder=folder, overrides=windows)

@@ -82,7 +82,7 @@ def main(cfg: DictConfig) -> None:
     try:
         emulated.close()
     except OSError as error:
-        failure = failure or f"the recording of frames is not whole: {error}"
+        failure = failure or f"the recording of frames is incomplete: {error}"
     say(f"emulated {emulated.time:.1f} s; at most {1e3 * server.longest_lag:.0f} ms behind the wall clock")
     if failure:
         print(failure, file=sys.stderr)

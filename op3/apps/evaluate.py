@@ -194,7 +194,7 @@ def main(cfg: DictConfig) -> Evaluated:
     """Play the episodes, and write numbers, page, logs and video; a sweep maximises the mean return."""
     torch.set_num_threads(1)
     if OmegaConf.is_missing(cfg, "policy"):
-        raise ValueError("policy is missing: add policy=<folder of a bundle>, or hold, zero, random or stiff")
+        raise ValueError("policy is missing: add policy=<folder of a bundle>, or policy=hold, zero, random or stiff")
     whole(cfg, "episodes", 1)
     if cfg.robot is not None:
         cfg.task.robot = cfg.robot

@@ -93,7 +93,7 @@ class Common:
 
 KINDS = {
     dict: (Mapping, "a mapping of its fields"),
-    str: (str | None, "a text"),
+    str: (str | None, "text"),
     bool: (bool, "true or false"),
     int: (int | float, "a number"),
     float: (int | float, "a number"),
@@ -145,10 +145,11 @@ def check(cfg: DictConfig) -> None:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
             raise ValueError(f"{name}={value}: there is no such file or folder; correct the path")
-    for name, known in {"policy": BASELINES, "baseline": BASELINES, "what": model_names()}.items():
+    baselines = BASELINES if "baseline" in cfg else ()  # a command that compares with one also takes one as the policy
+    for name, known in {"policy": baselines, "baseline": baselines, "what": model_names()}.items():
         value = None if OmegaConf.is_missing(cfg, name) or cfg.get("live") else cfg.get(name)
         if isinstance(value, str) and value not in known and not here_or_shipped(value).exists():
-            meaning = REQUIRED["what"] if name == "what" else f"a bundle's, or {', '.join(BASELINES)}"
+            meaning = ", ".join([REQUIRED["what" if name == "what" else "policy"], *(known if name != "what" else ())])
             raise FileNotFoundError(f"{name}={value}: no such folder; give {meaning}")
     effect, hideable = cfg.get("hidden_effect"), read_yaml(Path(__file__).parents[1] / "stand_in" / "kinds.yaml")
     if effect and effect not in hideable:

@@ -67,6 +67,6 @@ def main(cfg: DictConfig) -> CommandResult:
     paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
     usable = [look(path, cfg) for path in paths]
     if not all(usable):
-        print("at least one log cannot be used; correct it as stated above", file=sys.stderr)
+        print("at least one log cannot be used; correct it as described above", file=sys.stderr)
         raise SystemExit(1)
     return CommandResult(output_folder(), f"{len(paths)} log{'s' * (len(paths) != 1)} can be used.", files=())

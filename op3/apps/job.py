@@ -22,7 +22,7 @@ from op3.common.private import masked
 from op3.identify.registration import register
 from op3.identify.sweeper_conf import PopulationSweeperConf
 
-NOTHING_KEPT = "This command cannot resume: run it again."
+NOTHING_KEPT = "This command cannot resume: start it again."
 """Message after Ctrl-C for commands that cannot resume."""
 
 
@@ -80,7 +80,7 @@ def one_sentence(module: str = "") -> Iterator[None]:
 
 def goes_on(done: str) -> str:
     """Message after Ctrl-C of a run that keeps finished trials, recordings or stages."""
-    return f"The same command with the same hydra.run.dir continues after the finished {done}."
+    return f"Run the same command with the same hydra.run.dir to continue after the finished {done}."
 
 
 def check_first_job(app: str, overrides: Sequence[str]) -> None:

@@ -21,7 +21,7 @@ class ProgressLine:
         if sys.stderr.isatty():
             bar = f"{'#' * round(30 * share):<30}"
             end = "\n" if share >= 1 else ""
-            print(f"\r{stage:>10} {bar} {share:4.0%}{left}  ", end=end, file=sys.stderr, flush=True)
+            print(f"\r{stage:>13} {bar} {share:4.0%}{left}  ", end=end, file=sys.stderr, flush=True)
         elif stage != self._stage or now - self._written > LINE_SECONDS:
             print(f"{stage}: {share:.0%}{left}", file=sys.stderr, flush=True)
             self._written = now

@@ -99,7 +99,7 @@ def build(cfg: DictConfig) -> Reidentification:
     episodes, others = that_count(read_logs(plain(cfg.episodes)))
     if others:
         print(
-            f"{len(others)} episodes do not count: they ended because of {ended_by(others)}, not by a fall", flush=True
+            f"{len(others)} episodes are ignored: they ended because of {ended_by(others)}, not by a fall", flush=True
         )
     if not episodes:
         raise ValueError(

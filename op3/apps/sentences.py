@@ -31,13 +31,13 @@ def explained(error: Exception, config: str) -> str:
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
             part = asked.rpartition(".")[2]
             if unknown[1] == part:
-                return f"{asked} belongs to another option of its group: the chosen one has no {part!r}"
+                return f"{asked} belongs to another option of its group: the chosen option has no {part!r}"
             asked = f"{asked}.{unknown[1]}"
         group, _, part = asked.rpartition(".")
         if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
             return f"{group} has no entry {part!r} yet: add it with +{asked}=..."
         if parts := [name.removeprefix(f"{group}.") for name in known if group and name.startswith(f"{group}.")]:
-            return f"{group} has no part {part!r}{nearest(part, parts)}"
+            return f"{group} has no field {part!r}{nearest(part, parts)}"
         close = difflib.get_close_matches(asked, known, n=1)
         return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
     if text.startswith("Error merging override") and error.__cause__:
@@ -57,7 +57,7 @@ def as_sentence(error: BaseException) -> str:
     if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
         return "not enough memory; use fewer robots, episodes or trials"
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another place"
+        return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another folder"
     if isinstance(error, OmegaConfBaseException):  # where in the config it was stands in lines below
         return re.sub(r"^\w+ raised while resolving interpolation: ", "", str(error).splitlines()[0])
     return " ".join(str(error).split())

@@ -186,7 +186,7 @@ def check(cfg: DictConfig) -> dict[str, Any]:
         HiddenWorld.find(cfg.world, cfg.world_seed)
     load_model(cfg.conditions[cfg.condition].get("model", cfg.model))
     if not isinstance(cfg.diagnose, bool | None):
-        raise ValueError(f"diagnose must be true, false or null for what the condition says, got {cfg.diagnose!r}")
+        raise ValueError(f"diagnose must be true, false or null to follow the condition, got {cfg.diagnose!r}")
     for motion in plain(cfg.diagnosis):
         library_motion(motion)
     forwarded = [override for override in HydraConfig.get().overrides.task if override.startswith(UNHEARD)]

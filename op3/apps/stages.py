@@ -130,11 +130,11 @@ class Stages:
         check_same(place / ASKED, asked)
         if mark.exists():
             self.seconds[name], self.processor_seconds[name] = map(float, mark.read_text(encoding="utf-8").split())
-            print(f"{name}: done before", flush=True)
+            print(f"{name}: already finished", flush=True)
             return place
         resumed = {"resume": place} if command.__name__ == "train" and (place / CHECKPOINT).exists() else {}
         remember(place / ASKED, asked)
-        print(f"{name}: begins, output in {place / OUTPUT}", file=sys.stderr, flush=True)
+        print(f"{name}: started, output in {place / OUTPUT}", file=sys.stderr, flush=True)
         started, worked = time.monotonic(), used_seconds()
         try:
             with (place / OUTPUT).open("a", encoding="utf-8") as file, redirect_stdout(StageOutput(name, file)):
@@ -143,7 +143,7 @@ class Stages:
         except (ValueError, FileNotFoundError) as error:
             if not any(_is_work(path) for path in place.iterdir()):
                 (place / ASKED).unlink()  # what was wrong may be corrected
-            raise ValueError(f"stage {name}: {error}; the same command goes on from here") from error
+            raise ValueError(f"stage {name}: {error}; run the same command to continue from this stage") from error
         self.seconds[name] = time.monotonic() - started
         self.processor_seconds[name] = used_seconds() - worked
         write_text(mark, f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n")

@@ -230,7 +230,7 @@ def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
     asked = by_name(given).get("hydra.run.dir", "").strip("'")
     if asked and Path(asked).resolve() != folder.resolve():
         raise ValueError(
-            f"hydra.run.dir={asked}: resume={cfg.resume} goes on in its own folder; leave hydra.run.dir out"
+            f"hydra.run.dir={asked}: resume={cfg.resume} continues in its own folder; remove hydra.run.dir"
         )
     return before, choices
 
@@ -276,12 +276,12 @@ def main(cfg: DictConfig) -> Trained:
         )
         training.close(raise_if_closed=False)
         if progress.stopped:
-            print(f"Stopped after {progress.steps:,} steps. To go on: op3 train resume={folder}")
+            print(f"Stopped after {progress.steps:,} steps. To continue: op3 train resume={folder}")
             raise SystemExit(143)
         policy = PolicyBundle.load(folder / "policy")
         # on other episodes than those that chose the policy
         final, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
-        files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to go on from with resume"}
+        files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to continue from with resume"}
         rate, video = 1.0 / (FRAME_EVERY * judge.policy_period), folder / "episode.mp4"
         if cfg.evaluation.video and film(judge.scene, states, video, rate, follow=judge_task.cycle is not None):
             files["episode.mp4"] = "a video of one episode of the kept policy"

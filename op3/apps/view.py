@@ -44,7 +44,7 @@ def of_log(cfg: DictConfig) -> Tracks:
     """A log, and what a model predicts of it unless its commands depend on what the robot sensed."""
     logs = [one for log in read_logs(cfg.what, cfg.robot) for one in log.episodes()]
     if not cfg.number < len(logs):
-        raise ValueError(f"number={cfg.number}: {cfg.what} holds {len(logs)} logs, counted from 0")
+        raise ValueError(f"number={cfg.number}: {cfg.what} has {len(logs)} logs, numbered from 0")
     log = logs[cfg.number]
     shown: dict[str, Rollout] = {"measured": log}
     if log.metadata.policy_rate is not None and log.metadata.mount == "floor":
@@ -61,7 +61,7 @@ def of_log(cfg: DictConfig) -> Tracks:
 def show_card(cfg: DictConfig, path: Path) -> None:
     """What a policy was found to do, or how that is found."""
     card = find_card(path)
-    print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true makes one")
+    print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true writes one")
 
 
 def of_policy(cfg: DictConfig, path: Path) -> Tracks:
@@ -137,7 +137,7 @@ def watch(cfg: DictConfig, out: Path) -> None:
 def draw(stretches: list[Tracks], cfg: DictConfig, out: Path) -> None:
     """Write a video of all stretches."""
     seconds = sum(tracks.duration for tracks in stretches) / cfg.speed
-    print(f"drawing {int(seconds * RATE) + 1} pictures ...", file=sys.stderr, flush=True)
+    print(f"rendering {int(seconds * RATE) + 1} frames ...", file=sys.stderr, flush=True)
     try:
         print(write_film((one for tracks in stretches for one in pictures(tracks, cfg.joint, cfg.speed)), out, RATE))
     except RenderError as error:

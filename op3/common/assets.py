@@ -33,7 +33,7 @@ def asset_path(name: str) -> Path:
 def here_or_shipped(path: str | Path) -> Path:
     """The path, or that of the package where it begins with ``assets/`` and is not below the working folder."""
     if not isinstance(path, str | Path):
-        raise ValueError(f"a path must be a text, got {path!r}")
+        raise ValueError(f"a path must be text, got {path!r}")
     path = Path(path)
     if path.parts[:1] == ("assets",) and not path.exists():
         return next((folder.parent / path for folder in _CANDIDATES if (folder.parent / path).exists()), path)

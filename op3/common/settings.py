@@ -93,18 +93,18 @@ _WANTED = {
     "finite_number": "a finite number",
     "int_type": "a whole number",
     "bool_type": "true or false",
-    "string_type": "a text (quote it if it looks like a number)",
-    "string_too_short": "a text that is not empty",
+    "string_type": "text (quote it if it looks like a number)",
+    "string_too_short": "text that is not empty",
     "literal_error": "one of {expected}",
     "tuple_type": "a list",
-    "too_short": "a list of at least {min_length}",
+    "too_short": "a list of length {min_length} or more",
     "too_long": "a list of {max_length}",
     "mapping_type": "a mapping of names to values",
     "dict_type": "a mapping of names to values",
     "dataclass_type": "a mapping of its fields",
     "model_type": "a mapping of its fields",
     "invalid_key": "under a name",
-    "string_pattern_mismatch": "a text like {pattern}",
+    "string_pattern_mismatch": "text of the form {pattern}",
 }
 """Pydantic's kinds of error in words that follow "must be"."""
 
@@ -300,7 +300,7 @@ def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] =
     except _Twice as error:
         key, first, line = error.args
         problem = f"the key is on line {first} and again on line {line}"
-        raise raises(problem, "keep the one that is right", source=source, column=f"field {key}") from None
+        raise raises(problem, "keep the correct one", source=source, column=f"field {key}") from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise raises(f"line {line} is not valid YAML ({error.problem})", "correct it", source=source) from None

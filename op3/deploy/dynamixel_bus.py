@@ -317,7 +317,7 @@ class Bus:
             if isinstance(error, TypeError | AttributeError) and not never_open:
                 raise  # without its device the SDK trips over None; anywhere else they are our own mistakes
             self.clear()
-            raise Unplugged(f"the port {self.port_name} went away ({error}); check the USB cable") from error
+            raise Unplugged(f"the port {self.port_name} disappeared ({error}); check the USB cable") from error
 
 
 class Writer:

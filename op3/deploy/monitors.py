@@ -133,7 +133,9 @@ class Monitor:
         self._repeats = self._repeats + 1 if block == self._block else 1
         self._block = block
         if self._repeats >= self._limits.imu_repeats:
-            reason = f"the IMU sent {self._repeats} identical blocks; it is frozen: switch the power off and on"
+            reason = (
+                f"the IMU sent {self._repeats} identical blocks; it has stopped updating: switch the power off and on"
+            )
             raise Stop(ExitCode.IMU_FROZEN, reason, damp=True)
 
     def _check_fall(self, time: float, tilt: float) -> None:

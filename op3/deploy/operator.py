@@ -40,7 +40,7 @@ class Console(Operator):
     def confirm(self, text: str) -> bool:
         """Ask for the word yes."""
         self._forget()
-        print(f"{text} Type yes and Enter to go on: ", end="", flush=True)
+        print(f"{text} Type yes and Enter to continue: ", end="", flush=True)
         answer = sys.stdin.readline()
         return answer.strip().lower() in ("yes", "y")
 

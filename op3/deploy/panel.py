@@ -121,4 +121,4 @@ class StatusPanel:
             numbers = "{:8.3f} {:8.3f} {:6.2f} {:7.2f} {:7.2f} {:4.0f}".format(*row)
             lines.append(f"{name:12s} {numbers}{'' if answered else '  no answer'}")
         late = f"late p99 {1e3 * timing.p99:.2f} max {1e3 * timing.max:.2f} ms, missed {timing.misses}"
-        return [*lines, f"{late}: {verdict.note or 'all well'}"]
+        return [*lines, f"{late}: {verdict.note or 'ok'}"]

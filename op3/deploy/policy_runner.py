@@ -65,7 +65,7 @@ class PolicyRunner:
         if cycle is None and manifest.task in task_names():
             cycle = find_task(manifest.task).cycle
         if "phase" in manifest.layout and (cycle is None or cycle <= 0):
-            raise ValueError("the policy sees the phase of a gait; give cycle=<seconds>")
+            raise ValueError("the policy observes the phase of a gait; give cycle=<seconds>")
         self._cycle = cycle if "phase" in manifest.layout else None
         self._robot = load_robot(robot)
         self.bundle = bundle
@@ -79,7 +79,7 @@ class PolicyRunner:
             raise ValueError(f"field layout: this version of op3 lacks an observation ({error})") from None
         if self._observer.layout != dict(manifest.layout):
             observed = self._observer.layout
-            raise ValueError(f"field layout: this version observes {observed}, the policy {dict(manifest.layout)}")
+            raise ValueError(f"field layout: this version observes {observed}, but the policy {dict(manifest.layout)}")
         for step in range(3):
             self.act(self.observe(home, 0.0 * home, np.zeros(3), np.zeros(3), step))
         self.reset()
@@ -201,7 +201,7 @@ class FollowPolicy(Phase):
             observation = self._runner.observe(*seen, step)
             action = self._runner.act(observation)
         except ValueError as error:
-            raise Stop(ExitCode.NON_FINITE, f"the policy refused: {error}", damp=True) from error
+            raise Stop(ExitCode.NON_FINITE, f"the policy stopped: {error}", damp=True) from error
         if not np.isfinite(action).all():
             raise Stop(ExitCode.NON_FINITE, "the policy's action is not finite; refused", damp=True)
         self._command = self._runner.command(action)
@@ -242,7 +242,7 @@ class PolicyReplay:
         return self.action_difference < TOLERANCE
 
     def __str__(self) -> str:
-        verdict = "the same actions" if self.ok else f"other actions from step {self.first} on"
+        verdict = "the same actions" if self.ok else f"different actions from step {self.first} on"
         return (
             f"{self.steps} policy steps, {verdict}: largest |action difference| {self.action_difference:.2e}, "
             f"largest |observation difference| {self.observation_difference:.2e}"

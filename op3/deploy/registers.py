@@ -163,9 +163,8 @@ class Units:
         for name, make in zip(robot.joints, robot.servos, strict=True):
             if make.bus != "dynamixel-x" or make.model_number is None or make.loop != "current":
                 raise ValueError(
-                    f"{robot.name}: the bus speaks to Dynamixel X servos in current mode, and that of {name}"
-                    f" ({make.name}, loop: {make.loop}) is not one; for other servos bring logs (docs/logs.md), or take"
-                    " source=model"
+                    f"{robot.name}: the bus supports only Dynamixel X servos in current mode, but {name} has a"
+                    f" {make.name} (loop: {make.loop}); for other servos give logs (docs/logs.md), or use source=model"
                 )
             self.models[name] = make.model_number
         makes = robot.servos

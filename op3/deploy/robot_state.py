@@ -206,7 +206,7 @@ class Calibration:
         """Read ``offset_rad: {<joint>: <rad>}``; joints that are not named have no offset."""
         path, known = Path(path), load_robot(robot)
         if not path.is_file():
-            raise FileNotFoundError(f"there is no calibration file {path}; write one with mode=calibrate")
+            raise FileNotFoundError(f"there is no calibration file {path}; create one with mode=calibrate")
         content = read_yaml(path)
         try:
             offsets = CalibrationFile(**content).offset_rad

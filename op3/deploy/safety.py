@@ -257,7 +257,7 @@ class Safety(Onlooker):
         joint = self._joints[int(self._without.argmax())]
         ticks = int(self._without.max())
         goal = abs(int(self._written[int(self._without.argmax())]))
-        said = f"{joint} gives no current for {ticks} ticks, where {goal} counts are asked for"
+        said = f"{joint} delivers no current for {ticks} ticks at a goal of {goal} counts"
         off = False
         with suppress(NoAnswer):
             off = ticks % LET_GO == 0 and not self.bus.read(joint, "torque_enable", attempts=1)
@@ -265,7 +265,7 @@ class Safety(Onlooker):
             reason = f"torque of {joint} was switched off by another program: {said}; end that program"
             raise Stop(ExitCode.TORQUE_LOST, reason)
         if ticks >= SILENT:
-            raise Stop(ExitCode.TORQUE_LOST, f"{said}, though its torque is on; look at its motor and its driver")
+            raise Stop(ExitCode.TORQUE_LOST, f"{said}, though its torque is on; check its motor and its driver")
 
     def _check_gap(self) -> None:
         """A computer that was held up too long finds servos that ignore its goals until they are switched on again."""

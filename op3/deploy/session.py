@@ -218,7 +218,7 @@ class Session:
         safety = self._safety
         safety.check_start()
         safety.prepare()
-        question = "The robot is about to move. Hold it, keep hands off its joints."
+        question = "The robot is about to move. Hold it, and keep your hands off its joints."
         if safety.torque and not self._operator.confirm(question):
             raise Stop(ExitCode.DECLINED, "not confirmed")
         # Whatever takes time is done before torque: from then on the watchdogs allow no pause of 100 ms.

@@ -143,7 +143,7 @@ class StartChecks:
         self._writer.write(BOARD, "dynamixel_power", 1)
         bus.clock.sleep_until(bus.clock.now() + POWER_UP_TIME)
         if not bus.read(BOARD, "dynamixel_power"):
-            raise Failed("switched on, and still off; check the board")
+            raise Failed("still off after it was switched on; check the board")
         return "switched on"
 
     def _blame_adapter(self) -> None:
@@ -207,7 +207,7 @@ class StartChecks:
         if register == "homing_offset":
             name, worst = max(away.items(), key=lambda item: abs(item[1]))
             angle = worst * self._bus.units.position[self._joints.index(name)]
-            text += f" (up to {angle:+.2f} rad), left behind by another program"
+            text += f" (up to {angle:+.2f} rad), set by another program"
             remedy += f", or keep it with limits.homing_offset={abs(worst)} and calibrate with it"
         raise Failed(f"{text}; {remedy}")
 
@@ -256,7 +256,7 @@ class StartChecks:
         if outside[worst] > MARGIN:
             raise Failed(
                 f"{self._joints[worst]} is at {position[worst]:.2f} rad, outside its soft limits"
-                f" [{low[worst]:.2f}, {high[worst]:.2f}]; move it by hand, or check its calibration and horn"
+                f" [{low[worst]:.2f}, {high[worst]:.2f}]; move it inside by hand, or check its calibration and horn"
             )
         return "inside the soft limits"
 
@@ -275,7 +275,7 @@ class StartChecks:
             bus.clock.sleep_until(bus.clock.now() + 0.008)
         if len(blocks) < 2:
             self._blame_adapter()
-            raise Failed(f"{SAMPLES} readings hold {len(blocks)} different block; switch the power off and on")
+            raise Failed(f"{SAMPLES} readings contain {len(blocks)} different block;  switch the power off and on")
         assert state.orientation is not None
         assert state.linear_acceleration is not None
         (roll, pitch), force = np.rad2deg(state.orientation[:2]), state.linear_acceleration

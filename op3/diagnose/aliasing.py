@@ -44,8 +44,8 @@ def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> 
     effects = {label: stage.found[i].effect for label, i in best.items()}
     pairs, count = _pairs(best, left, strength, effects, most)
     return {
-        "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects in their places,"
-        f" and {count} pairs look the same in them.",
+        "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects, each in its joints;"
+        f" {count} pairs of effects cannot be distinguished.",
         "visibility": {label: round(float(visibility[i]), 3) for label, i in best.items()},
         "smallest": {label: size_of(stage, i, smallest[i]) for label, i in best.items()},
         "hidden": hidden,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from op3.common.plain_names import words
 from op3.diagnose.base import QUANTILE, Baseline, at_point, settled, unfitted
 from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import CHAIN
@@ -34,11 +35,11 @@ SHORTEST = 15.0
 """Fitted runs shorter than this in all carry no name [s]."""
 
 ON_ITS_FEET = (
-    "Only gaps are told of a robot on its feet, whose contacts hide what its servos do: record it on a stand, all"
-    " joints moving."
+    "No effects are named from logs of a robot on the floor, because contacts hide its servos' torques: record it on a"
+    " stand, with all joints moving."
 )
 STILL = "No joint moves in the fitted runs: move every joint through slow triangles and fast sines."
-"""Why nothing can be told."""
+"""Why no effect can be named."""
 
 FEWEST, PER_RUN = 72, 5
 """Windows of the fitted runs, and of each of them."""
@@ -46,7 +47,7 @@ FEWEST, PER_RUN = 72, 5
 RANKED = 15
 """Candidates that a verdict lists."""
 
-STAGES = {"windows": 0.05, "base": 0.4, "candidates": 0.45, "show": 0.1}
+STAGES = {"windows": 0.05, "baseline fit": 0.4, "candidates": 0.45, "held-out runs": 0.1}
 """Usual shares of the time."""
 
 
@@ -110,7 +111,7 @@ class Diagnosis:
 
     def _base(self, reduction: Reduction, model: RobotModel) -> Baseline:
         rng = np.random.default_rng([self.seed, 11])
-        return fit_base(reduction, model, rng, self.settings, self._share("base"))
+        return fit_base(reduction, model, rng, self.settings, self._share("baseline fit"))
 
     def _searching(self, reduction: Reduction) -> Search:
         self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
@@ -128,13 +129,13 @@ class Diagnosis:
             reduction = self.reduction()
         if not reduction.limbs:
             return self._void(model, STILL)
-        with self._timed("base"):
+        with self._timed("baseline fit"):
             base = self._base(reduction, model)
         with self._timed("candidates"):
             self.stages = self._searching(reduction).run(base)
-        with self._timed("show"):
+        with self._timed("held-out runs"):
             verdict = self._verdict(model, reduction)
-        self._progress("show", 1.0)
+        self._progress("held-out runs", 1.0)
         return replace(verdict, seconds=dict(self.seconds))
 
     @contextmanager
@@ -191,12 +192,16 @@ class Diagnosis:
         still = [joint for joint, moves in zip(reduction.engine.joints, reduction.moving, strict=True) if not moves]
         if self.search is not None and self.search.held.in_time:
             said.append(
-                "These logs are few: blocks of their time stand for runs, and other motions may be predicted worse."
+                "There are too few runs, so the logs were cut in time instead: errors on other motions may be larger."
             )
         if still:
-            said.append(f"{', '.join(still)} hardly moved: nothing is said of them. Move every joint.")
+            said.append(
+                f"{', '.join(map(words, still))} hardly moved, so no effect can be named there: move every joint."
+            )
         if self._short:
-            said.append(f"The fitted runs last less than {SHORTEST:.0f} s in all: record 100 s, better three minutes.")
+            said.append(
+                f"The fitted runs last less than {SHORTEST:.0f} s in total: record 100 s or, better, three minutes."
+            )
         return tuple(said)
 
     def _probability(self, z: float) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from op3.common.plain_names import words
 from op3.diagnose.base import ELSEWHERE, Baseline, base_numbers, gap_of, settle
 from op3.diagnose.coordinates import CHAIN, SPREAD_LIMIT, Coordinate, Coordinates
 from op3.diagnose.judge import evidence
@@ -56,11 +57,11 @@ def doubts(base: Baseline) -> tuple[str, ...]:
         value = base.point[base.coordinates.entries.index(entry)]
         end = "lower" if value - entry.low < entry.high - value else "upper"
         unit = known[split_name(entry.parameter)[0]].unit
-        result.append(f"{entry.parameter} hit its {end} bound ({value:.3g} {unit})".replace(" -)", ")"))
+        result.append(f"{words(entry.parameter)} hit its {end} bound ({value:.3g} {unit})".replace(" -)", ")"))
     for end in base.others:
         if -end.gain < SAME_OPTIMUM and (far := far_apart(base.coordinates, end.point, base.point)):
-            apart = f"{-end.gain:.1f} apart in -2 log evidence"
-            result.append(f"another start ends as well ({apart}) with other {', '.join(far)}")
+            apart = f"-2 log evidence differs by {-end.gain:.1f}"
+            result.append(f"another start fits as well ({apart}) with other values of {', '.join(map(words, far))}")
     return tuple(result)
 
 

@@ -27,7 +27,7 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
     if "pendulum" in by_mount and len(by_mount) > 1:
         raise LogError(
             f"logs of a bench are mixed with logs of a robot ({', '.join(sorted(by_mount))})",
-            "diagnose them one after the other",
+            "diagnose them separately",
             source=by_mount["pendulum"][0].metadata.recording,
             column="mount",
         )
@@ -39,14 +39,14 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
         if len(told) > 1:
             raise LogError(
                 f"the logs are of different {what} ({', '.join(sorted(told))})",
-                "diagnose those of one at a time",
+                "diagnose the logs of each separately",
                 source=list(told.values())[-1].metadata.recording,
                 column=field,
             )
     for log in logs:
         if log.joints != by_mount[log.metadata.mount][0].joints:
             raise LogError(
-                f"it has other joints than {by_mount[log.metadata.mount][0].metadata.recording}",
+                f"its joints differ from those of {by_mount[log.metadata.mount][0].metadata.recording}",
                 "diagnose logs of one set of joints at a time",
                 source=log.metadata.recording,
                 column="joints",

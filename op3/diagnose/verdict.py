@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from op3.common.plain_names import words
 from op3.diagnose.held_out import Gain
 from op3.diagnose.window_gaps import WindowGaps, plain_gaps
 from op3.servo import RobotModel, effect_class
@@ -79,7 +80,7 @@ class Finding:
         """Name, place and size in a few words."""
         size = f"{self.size:.3g} {self.unit}".removesuffix(" -")  # pure numbers have no unit
         size = f"at least {size}, end of the searched range" if self.beyond else size
-        return f"{_place(self.effect, self.joints, self.shared)} ({self.parameter} {size})"
+        return f"{_place(self.effect, self.joints, self.shared)} ({words(self.parameter)} {size})"
 
 
 @dataclass(frozen=True)
@@ -157,10 +158,10 @@ class Verdict:
         """The verdict in a few sentences."""
         if self.cannot_tell and not self.joints:
             return " ".join(self.cannot_tell)
-        flagged = [joint for joint, gap in self.joints.items() if gap.flagged]
-        odd = f" No effect of the catalogue explains what {', '.join(flagged)} does." if flagged else ""
+        flagged = [words(joint) for joint, gap in self.joints.items() if gap.flagged]
+        odd = f" No effect of the catalogue explains the remaining torque of {', '.join(flagged)}." if flagged else ""
         if not self.findings:
-            said = "Nothing is missing that these logs show." if not flagged else "No effect of the catalogue is named."
+            said = "These logs show no missing effect." if not flagged else "No effect of the catalogue is named."
         else:
             said = "; ".join(_stated(finding) for finding in self.findings)
             said = f"The model does not include {said}."
@@ -172,15 +173,15 @@ class Verdict:
         if self.windows is None:
             return ""
         one = self.windows.whole["position"]
-        floor = "" if one.floor is None else f" (repeats differ by {1e3 * one.floor:.2f})"
+        floor = "" if one.floor is None else f"; repeats differ by {1e3 * one.floor:.2f} mrad"
         worse = (
-            f" The baseline fit of {', '.join(self.windows.worse)} is worse than the given model."
+            f" The baseline fit of {', '.join(map(words, self.windows.worse))} is worse than the given model."
             if self.windows.worse
             else ""
         )
         return (
-            f"Error of the angle after {self.windows.length:.2g} s in held-out runs: {1e3 * one.given:.2f} mrad with"
-            f" the given model, {1e3 * one.baseline:.2f} refitted, {1e3 * one.returned:.2f} with the findings{floor}."
+            f"Angle error after {self.windows.length:.2g} s in held-out runs: given model {1e3 * one.given:.2f} mrad,"
+            f" baseline fit {1e3 * one.baseline:.2f} mrad, returned model {1e3 * one.returned:.2f} mrad{floor}."
             f"{worse}"
         )
 
@@ -210,7 +211,9 @@ def _stated(finding: Finding) -> str:
 
 
 def _place(effect: str, joints: Sequence[str], shared: bool) -> str:
-    return effect if shared else f"{effect} in {' and '.join(joints)}"
+    in_joints = "joint" in effect_class(effect).scopes
+    where = ("all joints" if len(joints) > 1 and in_joints else "") if shared else " and ".join(map(words, joints))
+    return f"{words(effect)} in {where}" if where else words(effect)
 
 
 def plain(value: Any) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from op3.common.plain_names import words
 from op3.identify.intervals import at_bound
 from op3.identify.sensitivity import Sensitivity
 
@@ -118,25 +119,20 @@ def in_words(names: Sequence[str], direction: Array) -> str:
     """
     order = np.argsort(-np.abs(direction))
     parts = [int(i) for i in order if abs(direction[i]) >= PART][:4]
-    words = [_spoken(names[i]) for i in parts]
+    spoken = [words(names[i]) for i in parts]
     if len(parts) < 2:
-        return f"these logs do not determine {words[0] if words else _spoken(names[int(order[0])])}"
+        return f"these logs do not determine {spoken[0] if spoken else words(names[int(order[0])])}"
     first = direction[parts[0]] > 0
-    alike = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) == first]
-    against = [word for i, word in zip(parts[1:], words[1:], strict=True) if (direction[i] > 0) != first]
+    alike = [word for i, word in zip(parts[1:], spoken[1:], strict=True) if (direction[i] > 0) == first]
+    against = [word for i, word in zip(parts[1:], spoken[1:], strict=True) if (direction[i] > 0) != first]
     ways = [f"a higher {_listed(alike)}"] if alike else []
     ways += [f"a lower {_listed(against)}"] if against else []
-    joined = f"{', '.join(words[:-1])} and {words[-1]}"
-    return f"{joined} trade off: a higher {words[0]} with {' and '.join(ways)} looks the same in these logs"
+    joined = f"{', '.join(spoken[:-1])} and {spoken[-1]}"
+    return f"{joined} trade off: a higher {spoken[0]} with {' and '.join(ways)} looks the same in these logs"
 
 
-def _spoken(name: str) -> str:
-    """``coulomb_friction@joint=elbow`` as ``coulomb friction of elbow``."""
-    return name.replace("@joint=", " of ").replace("@", " at ").replace("_", " ")
-
-
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _correlation(values: Array, directions: Array) -> Array:

@@ -143,7 +143,7 @@ def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
     if joint is None:
         return
     if not known[base].per_joint:
-        raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; leave it out of `per_joint`")
+        raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; remove it from `per_joint`")
     for log in logs:
         if joint not in log.joints:
             raise ValueError(

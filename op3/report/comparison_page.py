@@ -9,10 +9,11 @@ from typing import Any
 import plotly.graph_objects as go
 import yaml
 
+from op3.common.plain_names import words
 from op3.common.sample_intervals import mean_and_deviation
 from op3.report.page import Page
 from op3.report.result import read_result, write_result
-from op3.report.style import NAMES, bars_figure, curves_figure, words
+from op3.report.style import NAMES, bars_figure, curves_figure
 from op3.report.tables import Cell, TableRows
 
 PAGE, NUMBERS = "comparison.html", "comparison.yaml"

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.common.plain_names import words
 from op3.compliance.compare import Difference
 from op3.compliance.compliance_study import Measured
 from op3.compliance.energy import Energy
 from op3.compliance.gains import Gains
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
-from op3.report.style import GRID, bars_figure, colours, dress, grid_figure, shade, words
+from op3.report.style import GRID, bars_figure, colours, dress, grid_figure, shade
 from op3.report.tables import TableRows, span
 from op3.tasks.pushes import DIRECTIONS
 

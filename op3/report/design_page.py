@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from op3.common.plain_names import words
 from op3.identify.design import PlannedRecording, Step
 from op3.identify.identifiability import SHARE
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
-from op3.report.style import curves_figure, words
+from op3.report.style import curves_figure
 
 
 def report_design(

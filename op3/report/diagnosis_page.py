@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.common.plain_names import words
 from op3.diagnose import LogSplit, Verdict
 from op3.diagnose.window_gaps import CHANNELS, STAGES, StageGap, WindowGaps
 from op3.identify.intervals import at_bound
@@ -13,7 +14,7 @@ from op3.replay import Prediction
 from op3.report.page import Page
 from op3.report.panels import Panel, panels_figure
 from op3.report.result import RunFolder, publish
-from op3.report.style import MUTED, PALETTE, bars_figure, words
+from op3.report.style import MUTED, PALETTE, bars_figure
 from op3.report.tables import TableRows, in_thousandths, place_in_range, span
 from op3.report.trace_figures import checks_table, traces_figure
 from op3.report.tracks import SHOWN, predicted

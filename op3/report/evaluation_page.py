@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.common.plain_names import words
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
-from op3.report.style import boxes_figure, grid_figure, shade, words
+from op3.report.style import boxes_figure, grid_figure, shade
 from op3.report.trace_figures import body_figure, traces_figure
 from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile

@@ -6,19 +6,8 @@ from itertools import accumulate
 import numpy as np
 import plotly.graph_objects as go
 
-from op3.report.style import (
-    GROUND,
-    INK,
-    Curves,
-    colours,
-    dress,
-    faded,
-    grid_figure,
-    plain,
-    spread,
-    unit_text,
-    words,
-)
+from op3.common.plain_names import words
+from op3.report.style import GROUND, INK, Curves, colours, dress, faded, grid_figure, plain, spread, unit_text
 from op3.report.tables import Bounds, bounded_parameters, number, place_in_range, span
 from op3.servo import RobotModel
 from op3.servo.conditions import split_name

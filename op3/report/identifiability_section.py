@@ -4,8 +4,9 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from op3.common.plain_names import words
 from op3.identify.identifiability import SHARE, WIDTH, Identifiability
-from op3.report.style import GROUND, INK, PALETTE, dress, words
+from op3.report.style import GROUND, INK, PALETTE, dress
 from op3.report.tables import TableRows, number
 
 

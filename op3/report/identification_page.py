@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from op3.common.plain_names import words
 from op3.identify.identifiability import SHARE
 from op3.identify.identification import Fit, FitScore
 from op3.report.figures import history_figure, ranges_figure
 from op3.report.identifiability_section import identifiability_figure, identifiability_numbers, verdicts, widths_table
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
-from op3.report.style import words
 from op3.report.tables import TableRows, loss_table, parameter_table
 from op3.report.trace_figures import bench_figures, body_figure, checks_table, run_name, traces_figure
 

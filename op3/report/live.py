@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from op3.common.plain_names import words
 from op3.replay import Replay
-from op3.report.style import words
 from op3.report.tracks import Tracks, predicted, scene_of
 from op3.rollout import LogError, Metadata, Rollout
 from op3.rollout.files import GrowingRows

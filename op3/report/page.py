@@ -12,9 +12,10 @@ import plotly
 import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
+from op3.common.plain_names import words
 from op3.common.private import scrub
 from op3.common.writing import write_text
-from op3.report.style import DARK, words
+from op3.report.style import DARK
 from op3.report.tables import Cell, TableRows, ends, in_thousandths, number, span
 
 LIBRARY = "plotly.min.js"

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
+from op3.common.plain_names import words
 from op3.identify.prediction_score import PredictionScore
 from op3.report.page import Page
 from op3.report.result import RunFolder, publish
-from op3.report.style import words
 from op3.report.tables import TableRows
 from op3.report.trace_figures import bench_figures, body_figure, checks_table, run_name, traces_figure
 from op3.rollout import CHANNELS

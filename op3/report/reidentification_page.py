@@ -6,11 +6,12 @@ import numpy as np
 import optuna
 import plotly.graph_objects as go
 
+from op3.common.plain_names import words
 from op3.identify.intervals import at_bound
 from op3.report.figures import ranges_figure
 from op3.report.page import Page
 from op3.report.result import RunFolder, finite, publish
-from op3.report.style import INK, MUTED, curves_figure, words
+from op3.report.style import INK, MUTED, curves_figure
 from op3.report.tables import TableRows, place_in_range
 from op3.servo import RobotModel, parameter
 from op3.transfer.reidentification import TOLERATED

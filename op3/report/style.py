@@ -9,6 +9,8 @@ import plotly.graph_objects as go
 import yaml
 from plotly.subplots import make_subplots
 
+from op3.common.plain_names import words
+
 INK = "#16181d"
 """Measured data, axes' text."""
 
@@ -34,21 +36,10 @@ COMMAND = "command"
 NAMES = yaml.safe_load((Path(__file__).parent / "templates" / "names.yaml").read_text(encoding="utf-8"))
 """Names on pages and in results, by kind; the file explains each."""
 
-_WORDS = {"l": "left", "r": "right", "p": "P", "d": "D", "sho": "shoulder", "el": "elbow", "ank": "ankle", "com": "CoM",
-          "dte": "DTE", "imu": "IMU", "lugre": "LuGre"}  # fmt: skip
-
 
 def colours(labels: Sequence[str]) -> dict[str, str]:
     """One colour per label, by order; they repeat after six."""
     return {label: PALETTE[i % len(PALETTE)] for i, label in enumerate(labels)}
-
-
-def words(name: str) -> str:
-    """A name as people say it: ``l_wrist`` becomes ``left wrist``."""
-    name, _, joint = name.partition("@joint=")
-    parts = name.replace("@", " at ").split("_")
-    spoken = " ".join(_WORDS.get(part, part) for part in parts)
-    return f"{spoken} of the {words(joint)}" if joint else spoken
 
 
 def unit_text(unit: str) -> str:

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from op3.common.plain_names import words
 from op3.identify.intervals import at_bound
-from op3.report.style import unit_text, words
+from op3.report.style import unit_text
 from op3.rollout import CHANNELS
 from op3.rollout.schema import key_name, normal_key
 from op3.servo import Parameter, RobotModel

@@ -5,9 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
+from op3.common.plain_names import words
 from op3.replay import Prediction
 from op3.report.panels import Panel, panels_figure
-from op3.report.style import COMMAND, MEASURED, boxes_figure, words
+from op3.report.style import COMMAND, MEASURED, boxes_figure
 from op3.report.tables import TableRows
 from op3.rollout import CHANNELS, Rollout
 from op3.rollout.health import merge_findings

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from op3.common.plain_names import words
 from op3.report.page import Page
 from op3.report.provenance import run_provenance
 from op3.report.result import read_result, write_result
-from op3.report.style import NAMES, boxes_figure, words
+from op3.report.style import NAMES, boxes_figure
 from op3.transfer.success_table import Transferred, last_transfer, transfer_rates
 
 FAILED = "failed.txt"

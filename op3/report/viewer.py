@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from op3.common.plain_names import words
 from op3.report.frames import add_overlay, camera_of, draw_frames
-from op3.report.style import COMMAND, GRID, GROUND, INK, MUTED, PALETTE, words
+from op3.report.style import COMMAND, GRID, GROUND, INK, MUTED, PALETTE
 from op3.report.tracks import Tracks
 from op3.rollout import Rollout
 

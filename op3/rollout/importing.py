@@ -43,7 +43,7 @@ def _wrong(name: str, wanted: str, given: Any) -> LogError:
     option = name.partition(".")[0]
     wanted = {"unwrap": "true, or a list of joints", "split": "true or false"}.get(option, "a mapping of names")
     wanted = "names with numbers" if option in ("scale", "shift") else wanted
-    return LogError(f"{shown(given)} is not what belongs there", f"write {wanted}", column=f"field {option}")
+    return LogError(f"{shown(given)} is not allowed here", f"write {wanted}", column=f"field {option}")
 
 
 @settings(raises=_wrong)
@@ -273,7 +273,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
         if measured and lost.any():
             gap = holes(stream.time)[0]
             problem = f"it has no value from {stream.time[gap - 1]:.6g} to {stream.time[gap]:.6g} s"
-            raise LogError(problem, "leave this time out of all columns, or cut the log there", column=measured)
+            raise LogError(problem, "remove this time span from all columns, or cut the log there", column=measured)
         for name, values in stream.columns.items():
             signal = np.where(lost, np.nan, np.interp(time, stream.time, values))
             columns.setdefault(name, values[row] if _is_held(name) else signal)
@@ -357,7 +357,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
         if wanted and not missing:
             arrays[key] = np.stack([columns[name] for name in wanted], axis=-1)
         elif key != "time" and (channel.required or (there and strict)):
-            problem = f"the column is missing while {there} is there" if there else "the required column is missing"
+            problem = f"the column is missing, but {there} exists" if there else "the required column is missing"
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
             others = [n for n in columns if (found := place(n)) and found[0] == channel and n not in wanted]
             if others and channel.required:
@@ -374,9 +374,9 @@ def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[LogFinding]:
     """A warning where every clock runs in a part of the time only."""
     by_span = sorted(streams, key=lambda stream: float(np.ptp(stream.time)))
     shortest, (used, all_of_it) = by_span[0], (float(np.ptp(t)) for t in (time, by_span[-1].time))
-    problem = f"every clock runs in {used:.4g} of {all_of_it:.4g} s, which are used: "
-    problem += f"{next(iter(shortest.columns), 'one')} is told from {shortest.time[0]:.4g} to {shortest.time[-1]:.4g} s"
-    remedy = "record all of them throughout"
+    problem = f"only {used:.4g} of {all_of_it:.4g} s have values of all clocks and are used: "
+    problem += f"{next(iter(shortest.columns), 'one')} runs from {shortest.time[0]:.4g} to {shortest.time[-1]:.4g} s"
+    remedy = "record all columns over the whole time"
     return [LogFinding(WARNING, problem, remedy, "time", check="shared time")] if used < 0.9 * all_of_it else []
 
 
@@ -394,7 +394,7 @@ def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[LogFin
         columns = column_names(CHANNELS[key], joints)
         for index in np.flatnonzero(empty.any(0) | (key[0] == "imu")):
             rows = empty.any(1) if key[0] == "imu" else empty[:, index]
-            problem = f"{rows.sum()} of {len(values)} rows hold no number"
-            remedy = "the channel is not used; leave these rows out, or fill them"
+            problem = f"{rows.sum()} of {len(values)} rows contain no number"
+            remedy = "the channel is not used; remove these rows, or fill them"
             findings.append(LogFinding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
     return findings

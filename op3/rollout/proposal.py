@@ -44,7 +44,7 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     if known is not None:
         columns = {name: _of_robot(column, known) for name, column in columns.items()}
         if not any(column.name and column.name.rpartition(".")[0] in known.joints for column in columns.values()):
-            problem = f"it names none of the joints of {known.name}, which are {', '.join(known.joints)}"
+            problem = f"it has none of the joints of {known.name}, which are {', '.join(known.joints)}"
             remedy = "give the robot that made it; or import it without robot=, and correct the names in the YAML"
             raise LogError(problem, remedy, source=path)
         there = {column.name.rpartition(".")[0] for column in columns.values() if column.name}
@@ -85,10 +85,9 @@ def _in_counts(
             found[name] = dataclasses.replace(column, unit=make.counts.velocity.si, why=why)
     if robot is not None:
         return found, []
-    others = "a servo of 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
-    other = f"those {unit.removeprefix('counts ')}, and not those of {others}"
-    other = f"those of {others}, in their middle" if small else other
-    return found, [f"{why} are taken for {other}; name the servo's own `unit:` where it is another"]
+    others = "those of a servo with 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
+    assumed = f"{others}, near its middle" if small else f"{unit}, not {others}"
+    return found, [f"{why} are assumed to be {assumed}; write the servo's own `unit:` if it differs"]
 
 
 def _whole(values: np.ndarray) -> bool:

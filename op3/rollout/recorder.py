@@ -119,7 +119,7 @@ class Recorder:
         for key, place in self._layout.items():
             value = np.asarray(row[key], dtype=np.float64)
             if value.size != place.stop - place.start:
-                problem = f"{value.size} numbers where {place.stop - place.start} belong"
+                problem = f"{value.size} numbers instead of {place.stop - place.start}"
                 raise LogError(problem, "give one number per name on the channel's last axis", column=key_name(key))
             out[place] = value.reshape(-1)
         switches = out[self._binary]

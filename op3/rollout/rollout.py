@@ -273,7 +273,7 @@ class Rollout:
         """
         folder = Path(folder)
         if folder.exists() and not (folder / METADATA_FILE).is_file():
-            raise LogError("something other than a rollout is there", "choose another folder", source=folder)
+            raise LogError("it exists and is not a rollout", "choose another folder", source=folder)
 
         def fill(temporary: Path) -> None:
             files.save_tensordict(self.data, temporary / DATA_FOLDER)
@@ -312,7 +312,7 @@ class Rollout:
         for file in (path, path.with_suffix(".yaml")):
             if file.exists() and not overwrite:
                 remedy = "choose another name or pass overwrite=True"
-                raise LogError("the file is there already", remedy, source=file)
+                raise LogError("the file already exists", remedy, source=file)
         header, columns = [], []
         for key in self.channels:
             header += self._columns(key)

@@ -80,7 +80,7 @@ def _check_tensor(channel: Channel, value: object, batch: list[int], metadata: M
         raise LogError(f"the dtype is {value.dtype}", f"convert it to {dtype}", column=column)
     wanted = [*batch, width_of(channel, metadata) or max(1, *value.shape[-1:])]
     if list(value.shape) != wanted:
-        problem = f"the shape is {list(value.shape)} where {wanted} belongs"
+        problem = f"the shape is {list(value.shape)} instead of {wanted}"
         raise LogError(problem, "give one row per time, and one entry per name on the last axis", column=column)
 
 
@@ -96,7 +96,7 @@ def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, befor
     if values.dtype == bool:
         return
     quantity = channel.quantity
-    repair = "repair or leave out the row, and leave a channel that was never measured absent"
+    repair = "repair or remove the row, and omit a channel that was never measured"
     rules = [(~np.isfinite(values), "is not a finite number", repair)]
     if quantity.nonnegative:
         rules.append((values < 0, "is negative", "give at least 0"))
@@ -120,7 +120,7 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
         raise LogError("there is no row", "record at least one", row="row 1")
     if not np.isfinite(time).all():
         row = int(np.isfinite(time).argmin()) + 1
-        raise LogError("the time is not a finite number", "leave out the row", column="time", row=row)
+        raise LogError("the time is not a finite number", "remove the row", column="time", row=row)
     steps = np.diff(time)
     later = steps > INSTANT
     if later.all():
@@ -129,13 +129,13 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
     if steps[row] >= 0:
         problem, remedy = f"{time[row]:.10g} s repeats the time of row {row + 1}", "remove the duplicated row"
         if (more := int((~later).sum())) > len(time) // 20:
-            problem += f", and so do {more} rows in all"
-            remedy = "write times with more digits (a float32 is too short for a Unix time), or each row once"
+            problem += f", as in {more} rows in total"
+            remedy = "write times with more digits (float32 is too coarse for Unix time), or write each row once"
     else:
         problem = f"time goes back from {time[row]:.10g} s to {time[row + 1]:.10g} s"
         remedy = "sort the rows, or write `split: true` into its YAML where a new recording starts"
         if -86400 <= steps[row] < -86340:
-            remedy = "it passed midnight: write dates as well, or add 86400 s to the times behind it"
+            remedy = "it passed midnight: write dates as well, or add 86400 s to the times after it"
     raise LogError(problem, remedy, column="time", row=row + 2, episode=episode)
 
 

@@ -222,7 +222,7 @@ def check_unused(folder: Path) -> None:
     """Refuse a folder that has the checkpoint of a run."""
     if (folder / CHECKPOINT).exists():
         raise ValueError(
-            f"{folder} has the {CHECKPOINT} of a run: go on with resume={folder}, or choose another folder"
+            f"{folder} has the {CHECKPOINT} of a run: continue with resume={folder}, or choose another folder"
         )
 
 

@@ -77,7 +77,7 @@ def test_replay_tells_another_policy(tmp_path):
     result = replay_policy(log, PolicyRunner(hold_policy(feedback=0.2, seed=1), robot="op3"))
     assert not result.ok
     assert result.first == 0
-    assert "other actions from step 0 on" in str(result)
+    assert "different actions from step 0 on" in str(result)
     with pytest.raises(ValueError, match="observations have 124 numbers and those of this policy 256"):
         replay_policy(log, PolicyRunner(hold_policy("walk"), robot="op3"))
 

@@ -100,7 +100,7 @@ def test_a_number_at_its_bound_is_a_doubt_where_logs_exercise_it():
     columns, certain = np.ones((len(point), 1, 1, 1)), SimpleNamespace(covariance=np.zeros((len(point), len(point))))
     base = Baseline(Linear(coordinates, point, (), (), np.zeros(0), columns), certain)  # type: ignore[arg-type]
     (doubt,) = doubts(base)
-    assert doubt.startswith("torque_constant hit its upper bound")
+    assert doubt.startswith("torque constant hit its upper bound")
     other = point.copy()
     other[at] = coordinates.low[at]
     twice = Baseline(base.linear, certain, (End(coordinates, other, -3.0),))  # type: ignore[arg-type]
@@ -231,21 +231,21 @@ def test_a_verdict_is_findings_and_what_stays_unexplained():
     """Names, alternatives, an odd joint that silences no finding, and doubts first; all of it plain."""
     (finding,) = verdict().findings
     assert verdict().verdict == "named"
-    assert verdict().sentence.startswith("The model does not include backlash in r_knee")
+    assert verdict().sentence.startswith("The model does not include backlash in right knee")
     less = verdict(findings=(finding, dataclasses.replace(finding, effect="lugre", probability=0.6)))
-    assert "probability 0.93; lugre in r_knee" in less.sentence
+    assert "probability 0.93; LuGre in right knee" in less.sentence
     ended = dataclasses.replace(finding, beyond=True)
     assert "at least 0.004 rad, end of the searched range" in ended.phrase
     rival = Alternative("compliance", ("r_knee",), False, 0.3)
     either = verdict(findings=(Finding(**{**vars(finding), "alternatives": (rival,)}),))
     assert either.verdict == "ambiguous"
-    assert "or compliance in r_knee" in either.sentence
+    assert "or compliance in right knee" in either.sentence
     assert finding.separate_by == ""
     assert either.findings[0].separate_by
     odd = JointGap(0.01, 0.01, 0.001, 0.009, True, {"position": 0.8})
     beside = verdict(joints={"r_hip_yaw": odd})
     assert beside.verdict == "named"
-    assert "explains what r_hip_yaw does" in beside.sentence
+    assert "explains the remaining torque of right hip yaw" in beside.sentence
     assert verdict(findings=(), joints={"r_hip_yaw": odd}).verdict == "unknown"
     assert verdict(findings=()).verdict == "nothing_missing"
     assert yaml.safe_load(yaml.safe_dump(beside.plain()))["findings"][0]["probability"] == 0.93

@@ -94,7 +94,7 @@ def test_a_policy_is_trained_resumed_and_judged(tmp_path):
 def test_wrong_input_ends_with_one_sentence(tmp_path):
     """A missing bundle, a bundle of another task's size and a GPU that is not there end with one sentence."""
     cases = [
-        ("evaluate.py", ["policy=nowhere"], "no such folder; give a bundle's, or hold, zero, random"),
+        ("evaluate.py", ["policy=nowhere"], "no such folder; give the folder of a policy bundle, hold, zero, random"),
         ("train.py", [*TINY, "task=fly"], "there is no 'fly' in the group task"),
         ("train.py", [*TINY, "algorithm.n_step=0"], "n_step must be at least 1, got 0"),
     ]

@@ -145,7 +145,7 @@ def test_a_policy_is_shown_with_its_card(tmp_path, capsys):
     folder, view = bundle.save(tmp_path / "bundle"), import_module("op3.apps.view")
     cfg = OmegaConf.create({"what": str(folder), "model": "paper", "seed": 0})
     view.show_card(cfg, folder)
-    assert capsys.readouterr().out == f"{folder} has no card; op3 evaluate policy={folder} card=true makes one\n"
+    assert capsys.readouterr().out == f"{folder} has no card; op3 evaluate policy={folder} card=true writes one\n"
     Card("STANDS", bundle.fingerprint, "balance", "paper", 50, 0.0, 0.0).save(folder)
     view.show_card(cfg, folder)
     assert capsys.readouterr().out.startswith("STANDS\n---\n")

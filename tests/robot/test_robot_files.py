@@ -192,7 +192,7 @@ def test_robots_travel_between_processes(tmp_path):
         ({"{bus_id: 1}": "{bus_id: true}"}, r"line 8: joints.j0.bus_id must be a whole number, got True"),
         ({"{bus_id: 1}": "servo"}, r"line 8: joints.j0 must be a mapping of its fields, got 'servo'"),
         ({"joints:": "joint:"}, r"line 7: joint is not a field; the nearest is 'joints'"),
-        ({"name: four": "name: my robot"}, r"line 2: name must be a text like .*, got 'my robot'"),
+        ({"name: four": "name: my robot"}, r"line 2: name must be text of the form .*, got 'my robot'"),
         ({"home: 0.4": "home: '0.4'"}, r"line 9: joints.j1.home must be a number, got '0.4'"),
         ({"home: 0.4": "limits: [1, -1]"}, r"line 9: joints.j1.limits go from 1 to -1: the lower first"),
         (
@@ -207,7 +207,7 @@ def test_robots_travel_between_processes(tmp_path):
             {"{bus_id: 1}": "{bus_id: 1, mirror: j1}", "home: 0.4": "mirror: j2"},
             r"line 9: joints.j1.mirror is j2, but j1 has the partner j0 already",
         ),
-        ({"servo:": "controlled: []\nservo:"}, r"line 6: controlled must be a list of at least 1"),
+        ({"servo:": "controlled: []\nservo:"}, r"line 6: controlled must be a list of length 1 or more"),
         ({"servo:": "poses: {up: {j0: 2}}\nservo:"}, r"line 6: poses.up.j0 is 2 rad, outside its limits -1.5 to 1.5"),
         ({"servo:": "poses: {zero: {j0: 1}}\nservo:"}, r"line 6: poses.zero is a pose that every robot has"),
         (

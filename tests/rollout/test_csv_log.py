@@ -110,7 +110,7 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
         "row 3",
         "without marks between thousands",
     ),
-    "decimal commas": (decimal_commas, "", "row 1", "as if decimal commas separated them"),
+    "decimal commas": (decimal_commas, "", "row 1", "as if decimal commas had split them"),
     "German date": (
         whole("time", lambda t: clock(t, "%d.%m.%Y %H:%M:%S.%f")),
         "time",

@@ -4,7 +4,7 @@ Groups that are numbered, such as `demo_0`, are recordings of their own. Of arra
 a leader are targets, and the rest keep the group in their name. Joints are named by what the file says, else as ALOHA's
 where there are as many, and by `columns:` of the YAML. ALOHA's files hold `observations/qpos`, `qvel`, `effort` and
 `action` of one or two arms of six joints and a gripper, at 50 rows per second, without times. Its grippers run from 0
-to 1 over an opening that is not in the file, so that they are left out.
+to 1 of an opening that the file does not state, so that they are left out.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _recording(content: dict[str, np.ndarray], about: dict[str, Any], name: str,
     long = [len(array) for array in content.values() if array.ndim == 2]
     rows = max(set(long), key=long.count, default=0)
     if rows < 2:
-        raise LogError("there are no arrays of several times", "save arrays [time, joint]", source=path)
+        raise LogError("there are no arrays with several rows", "save arrays [time, joint]", source=path)
     doubts: list[LogFinding] = []
     time = next((content.pop(n).reshape(-1) for n in _TIMES if n in content), None)
     if time is None:
@@ -75,7 +75,7 @@ def _recording(content: dict[str, np.ndarray], about: dict[str, Any], name: str,
     for name, values in columns.items():
         gripper = str(meanings[name].name).rpartition(".")[0].endswith("gripper")
         if gripper and values.min() > -0.5 and values.max() < 1.5:
-            meanings[name] = Column(None, why="0 to 1 over an opening that is not in the file")
+            meanings[name] = Column(None, why="0 to 1 of an opening that the file does not state")
     metadata = {"robot": "simulated" if about.get("sim") else "real", "mount": "stand"}
     return Recording([Stream(time.astype(float), columns)], metadata, meanings, name, doubts=doubts)
 

@@ -169,7 +169,9 @@ def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
             known = [str(name) for name in (names if isinstance(names, list) else content)]
             if joint not in known:
                 problem = f"the calibration does not have this joint; it has {', '.join(known)[:120]}"
-                remedy = "copy the calibration file of this robot; entries of two arms go into one file, by these names"
+                remedy = (
+                    "copy the calibration file of this robot; put the entries of two arms into one file, by these names"
+                )
             else:
                 problem, remedy = "the calibration of the joint has no range", "copy LeRobot's calibration file"
             raise LogError(problem, remedy, source=file, column=joint) from None
@@ -237,7 +239,7 @@ def _body_unit(
     if beyond and "normalised" in units:
         return "normalised", f"in degrees {beyond[0]} would leave its range", None
     if most.max() > _NORMAL:
-        return "deg", "numbers go beyond 100", None
+        return "deg", "values exceed 100", None
     steps = step(np.stack(list(joints.values()), axis=1)) if joints else np.zeros(0)
     steps = steps[(steps > 0.03) & (steps < 1)]
     if len(steps) > 1 and not ranges and apart["deg"] > _OFF and np.ptp(steps) > 0.03 * steps.max():
@@ -248,11 +250,11 @@ def _body_unit(
         remedy = "copy LeRobot's calibration file there as calibration.json"
         return "deg", "nothing else is known", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
     if "rad" in units:
-        return "rad", "hardly a number is as large as a turn in radians", None
+        return "rad", "hardly any value exceeds a turn in radians", None
     problem = (
         f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones would be similar"
     )
-    remedy = "say `unit: deg` under `columns:` in a YAML, or their size"
+    remedy = "write `unit: deg` under `columns:` in a YAML, or their size"
     if not ranges:
         remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"
     why = "degrees are assumed, since no unit is given; numbers of -100 to 100 may be normalised to a range"

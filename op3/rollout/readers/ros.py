@@ -94,7 +94,7 @@ class Ros:
             if len(set(names)) < len(names):
                 twice = next(one for one in names if list(names).count(one) > 1)
                 problem = f"{name} names {twice} twice in one message"
-                raise LogError(problem, "give every joint a name of its own where it is published", source=path)
+                raise LogError(problem, "give every joint a unique name where it is published", source=path)
             stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
             for told, points in _samples(name, kind, message):
                 columns = orders.setdefault(frozenset(told), tuple(told))
@@ -107,7 +107,7 @@ class Ros:
         _one_publisher(topics := list(found.values()), path, doubts)
         streams = _streams(_one_source([topic for topic in topics if topic.rows], path), path, doubts)
         if not streams:
-            raise LogError("the bag holds no joint states", "record sensor_msgs/JointState", source=path)
+            raise LogError("the bag has no joint states", "record sensor_msgs/JointState", source=path)
         streams.sort(key=lambda s: (not any(n.endswith(".position") for n in s.columns), -len(s.time)))
         return [Recording(streams, dict(robot="real", mount="stand"), doubts=doubts)]
 
@@ -197,7 +197,7 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     here, there = ([n.rpartition(".")[0] for n in names if n.endswith(end)] for end in (".position", ".target"))
     if here and not there and not any(topic.is_array for topic in chosen.values()):
         problem = "no topic commands these joints"
-        remedy = f"record the topic of the commands, whose name holds one of {', '.join(_COMMAND_WORDS)}"
+        remedy = f"record the topic of the commands, whose name contains one of {', '.join(_COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
     alike = {} if {*here} & {*there} else {t: [s for s in here if _behind(s, t) or _behind(t, s)] for t in there}
     named = {f"{t}.target": f"{s[0]}.target" for t, s in alike.items() if len(s) == 1}
@@ -391,12 +391,12 @@ def _order(
     unclear = (asked > 0.1) & ((off > 0.5 * asked) | ((off > 0.5 * others) & (not in_order)))
     if unclear.any():
         problem = f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1}"
-        problem += " follows no joint of the states clearly"
+        problem += " clearly follows none of the joints"
         raise LogError(problem, "record a topic of commands with the names of joints", source=path)
     if not in_order and (chosen != number).any():
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
         problem = f"{topic.name} sends numbers without names, which are assigned to {order}, since these"
         problem += " joints follow them, not in the order of the states"
-        remedy = "correct the names under `columns:` if that is wrong"
+        remedy = "correct the names under `columns:` if this is wrong"
         doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)

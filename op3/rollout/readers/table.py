@@ -62,8 +62,8 @@ def read_table(
         raise LogError("there is a header but no row", "write at least one row", row="row 1")
     if table.shape[1] != len(header):
         if table.shape[1] > 1.5 * len(header):
-            problem = f"{table.shape[1]} cells stand below {len(header)} names, as if decimal commas separated them"
-            raise LogError(problem, "write points, or separate the columns by `;`", row=1)
+            problem = f"{table.shape[1]} cells stand below {len(header)} names, as if decimal commas had split them"
+            raise LogError(problem, "write decimal points, or separate the columns by `;`", row=1)
         raise _fault("at row 1", header)
     return header, table, codes
 
@@ -88,11 +88,11 @@ def _fault(said: str, header: list[str]) -> LogError:
     """What numpy says of a cell that is not a number, or of a row with more or fewer cells than those before."""
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
         column, row, text = header[min(int(cell[3]), len(header)) - 1], int(cell[2]) + 1, cell[1].strip()
-        problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or leave out the row"
+        problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or remove the row"
         if re.match(r"\d{1,4}[./-]\d\d?[./-]\d{1,4}\b", text):
             remedy = "write dates as in 2026-03-28T14:59:55.123, or seconds"
         elif re.fullmatch(r"-?\d{1,3}([.,]\d{3})+[.,]\d*", text):
-            remedy = "write numbers without marks between thousands"
+            remedy = "write numbers without thousands separators"
         if text.strip("# ") == column:
             problem, remedy = "the header is repeated", "remove the line, or split the file there"
         elif row == 1 and (
@@ -104,7 +104,7 @@ def _fault(said: str, header: list[str]) -> LogError:
             )
         return LogError(problem, remedy, row=row, column=column)
     row = re.search(r"at row (\d+)", said)
-    problem, remedy = f"the row has not the {len(header)} cells of the header", "complete it or leave it out"
+    problem, remedy = f"the row does not have the {len(header)} cells of the header", "complete or remove it"
     return LogError(problem, f"{remedy} (a file cut short ends like this)", row=int(row[1]) if row else None)
 
 
@@ -143,6 +143,6 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
         raise LogError("there is no header, the first row holds numbers", remedy, row=1)
     for position, name in enumerate(header):
         if name in header[:position]:
-            remedy = "give every column a name of its own (join a header of two rows into one, such as `hip.position`)"
+            remedy = "give every column a unique name (join a header of two rows into one, such as `hip.position`)"
             raise LogError("the column appears twice", remedy, column=name, row="header")
     return header, mark, open_end, lines

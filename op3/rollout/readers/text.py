@@ -118,7 +118,7 @@ def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise LogError("the key appears twice", "keep the one that is right", source=path, column=f"field {twice}")
+        raise LogError("the key appears twice", "keep the correct one", source=path, column=f"field {twice}")
     return found
 
 
