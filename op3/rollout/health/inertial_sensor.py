@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -28,33 +29,28 @@ _MISTAKES |= {f"{axes} are swapped": np.eye(3)[list(order)] for axes, order in _
 """What turns gravity round, and what takes it back, the likeliest first."""
 
 
-def _rotation(angles: np.ndarray) -> Rotation:
-    """Of the trunk, by roll, pitch and yaw [time, 3]."""
-    return Rotation.from_euler("ZYX", angles[:, ::-1])
+def _rotation(angles: np.ndarray, order: Sequence[int] = (0, 1, 2), signs: Sequence[int] = (1, 1, 1)) -> Rotation:
+    """Of the trunk, by roll, pitch and yaw [time, 3] in this order and with these signs."""
+    return Rotation.from_euler("ZYX", (angles[:, list(order)] * signs)[:, ::-1])
 
 
-def _by_parts(order: Sequence[int]) -> Callable[[np.ndarray], Rotation]:
-    return lambda angles: Rotation.from_quat(_rotation(angles).as_quat()[:, list(order)])
-
-
-def _by_angles(order: Sequence[int], signs: Sequence[int]) -> dict[str, Callable[[np.ndarray], Rotation]]:
-    """The angles in another order and with other signs, by which of them that concerns."""
-    names = ("roll", "pitch", "yaw")
-    where = " and ".join(n for i, n in enumerate(names) if order[i] != i or signs[i] < 0)
-    how = f"the sign of {where} were reversed" if min(signs) < 0 else f"{where} were swapped"
-    return {how: lambda angles: _rotation(angles[:, list(order)] * np.array(signs))} if where else {}
+def _of_parts(angles: np.ndarray, shift: int) -> Rotation:
+    """That of a quaternion whose components are shifted round."""
+    return Rotation.from_quat(np.roll(_rotation(angles).as_quat(), shift, axis=1))
 
 
 _READ: dict[str, Callable[[np.ndarray], Rotation]] = {
     "its angles were in degrees": lambda angles: _rotation(np.deg2rad(angles)),
     "it were that of the world in the body's frame": lambda angles: _rotation(angles).inv(),
-    "the components of its quaternion (x, y, z, w) had been written as w, x, y, z": _by_parts((1, 2, 3, 0)),
-    "the components of its quaternion (w, x, y, z) had been written as x, y, z, w": _by_parts((3, 0, 1, 2)),
+    "the components of its quaternion (x, y, z, w) had been written as w, x, y, z": partial(_of_parts, shift=-1),
+    "the components of its quaternion (w, x, y, z) had been written as x, y, z, w": partial(_of_parts, shift=1),
 }
+_ANGLES = np.array(["roll", "pitch", "yaw"])
 for _signs in itertools.product((1, -1), repeat=3):
-    _READ |= _by_angles((0, 1, 2), _signs)
+    if _turned := " and ".join(_ANGLES[np.array(_signs) < 0]):
+        _READ[f"the sign of {_turned} were reversed"] = partial(_rotation, signs=_signs)
 for _order in _SWAPS.values():
-    _READ |= _by_angles(_order, (1, 1, 1))
+    _READ[f"{' and '.join(_ANGLES[np.array(_order) != range(3)])} were swapped"] = partial(_rotation, order=_order)
 """What an orientation may be that was not read as it was meant, and what it is then."""
 
 
@@ -112,13 +108,13 @@ def gyroscope(view: View) -> Found:
     fit, bias = match(turned, body), np.median(turned - body, axis=0) / span
     moving = fit.size_b > np.maximum(4 * view.steps(ORIENTATION) if axes == 3 else 0.0, 0.03 * span)
     for axis in range(axes):
-        own, ratio, other = fit.correlation[axis, axis], float(fit.ratio[axis, axis]), fit.correlation[:, axis]
-        whose, error = int(np.abs(other).argmax()), no_sensor(ratio)
+        own, ratio, other = fit.own[axis], float(fit.ratio[axis, axis]), fit.correlation[:, axis]
+        whose, odd, error = int(np.abs(other).argmax()), no_sensor(ratio), False
         least, most = (0.5, 2.0) if abs(own) < 0.97 else (0.75, 1.35)
         swapped = abs(other[whose]) > 0.9 and 1 - abs(other[whose]) < 0.1 * (1 - abs(own))
-        if moving[axis] and abs(own) > 0.9 and not least < ratio < most and (axes == 3 or error):
-            turns_round = " with the sign reversed" if abs(ratio + 1) < 0.3 else ""
-            cause = turns_round or as_if(("it", ratio, "rad/s"), tolerance=near)
+        if moving[axis] and abs(own) > 0.9 and not least < ratio < most and (axes == 3 or odd):
+            unit, error = as_if(("it", ratio, "rad/s"), tolerance=near), odd
+            cause = " with the sign reversed" if abs(ratio + 1) < 0.3 else unit
             problem = f"the gyroscope reads {ratio:.3g} times the {what}{cause}"
             remedy = _unit_of_rates(likely_unit(ratio, "rad/s", near))
         elif axes < 3:
@@ -129,10 +125,10 @@ def gyroscope(view: View) -> Found:
             remedy = "rename the axes, or rotate the readings into the body's frame"
         elif moving[axis] and abs(own) < 0.5:
             problem = f"the gyroscope does not follow the change of orientation (correlation {own:.2f})"
-            remedy, error = "check whether one of them is delayed or from another sensor", False
+            remedy = "check whether one of them is delayed or from another sensor"
         elif abs(bias[axis]) > _DRIFT and not shaken[axis]:
             problem = f"the gyroscope differs from the change of orientation by {bias[axis]:+.3g} rad/s on average"
-            remedy, error = "check its unit, its bias, and whether yaw drifts", False
+            remedy = "check its unit, its bias, and whether yaw drifts"
         else:
             continue
         yield view.found((RATE, axis), problem, remedy, error=error)
@@ -150,12 +146,11 @@ def gravity(view: View) -> Found:
     if not np.ptp(force, axis=0).any():
         return
     size, mean = float(np.median(np.linalg.norm(force, axis=1))), np.median(force, axis=0)
-    roll, pitch = np.zeros((2, 1)) if angles is None else angles.T[:2]
-    up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+    leans = np.zeros((1, 3)) if angles is None else angles
+    up = _rotation(leans).inv().apply([0, 0, 1])
     expected, axis = np.median(up, axis=0), int(np.abs(mean).argmax())
     known = angles is not None and float(np.linalg.norm(expected)) > 0.9
-    apart = _apart(mean, expected) if known else 0.0
-    falls = bool(max(np.ptp(roll), np.ptp(pitch)) > _FALLS)
+    apart, falls = _apart(mean, expected) if known else 0.0, bool(np.ptp(leans[:, :2], axis=0).max() > _FALLS)
     # of what may have been done to its axes, the least that brings gravity where the orientation says
     done, rest = min(_MISTAKES.items(), key=lambda item: _apart(item[1] @ mean, expected) // 0.1)
     problem, where, error = f"the median specific force is {size:.3g} m/s2", (FORCE, 0), False
@@ -164,9 +159,8 @@ def gravity(view: View) -> Found:
         yield view.found(where, problem, "convert to m/s2 (a robot at rest reads 9.81)", 0, error=True)
         return
     if size <= 0.5 or (known and np.linalg.norm(mean + _STANDARD * (np.array([0, 0, 1]) - expected)) < 1):
-        for index in range(3):
-            remedy = "record it with gravity; until then it is not used"
-            yield view.found((FORCE, index), f"{problem}: gravity was subtracted from it", remedy, aside=True)
+        problem, remedy = f"{problem}: gravity was subtracted from it", "record it with gravity"
+        yield from (view.found((FORCE, index), problem, remedy, aside=True) for index in range(3))
         return
     if not (7 if falls else 8.5) < size < 11.5:
         problem, remedy = f"{problem}, but gravity alone is 9.81", "check its scale and offset"
@@ -174,17 +168,16 @@ def gravity(view: View) -> Found:
         problem, where = f"gravity reads {mean[2]:.3g} m/s2 upwards, as if the trunk hung upside down", (FORCE, 2)
         remedy = "if it does not, write `sign: -1` for all its axes under `columns:` in the YAML"
     elif known and mean[2] > 5 and expected[2] < -0.5:
-        problem = (
-            f"the orientation says that the trunk hangs upside down, but the accelerometer reads {mean[2]:.3g} m/s2 "
-        )
-        problem += "upwards: as if the components of a quaternion were in another order (w, x, y, z or x, y, z, w)"
+        problem = "the orientation says that the trunk hangs upside down, but the accelerometer reads "
+        problem += f"{mean[2]:.3g} m/s2 upwards: as if a quaternion's components were in another order (w, x, y, z "
+        problem += "or x, y, z, w)"
         remedy, where, error = "correct the orientation", (ORIENTATION, 0), True
     elif apart > (0.4 if falls else _TILTED):
         problem = f"gravity lies along {np.round(mean / size, 2)}, but the orientation says {np.round(expected, 2)}"
         where, error = (FORCE, axis), _apart(rest @ mean, expected) < min(0.3, 0.4 * apart)
         problem += f": {done}" if error else f", {apart:.2g} rad apart: the sensor is tilted in the trunk"
-        remedy = "rotate the sensor's readings by this angle into the body's frame"
-        remedy = "write `sign: -1` for these under `columns:` in the YAML, or rename the axes" if error else remedy
+        turn = "rotate the sensor's readings by this angle into the body's frame"
+        remedy = "write `sign: -1` for these under `columns:` in the YAML, or rename the axes" if error else turn
         error &= "all" in done
     else:
         yield from _leans(view, force, up)
@@ -198,7 +191,7 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Found:
     if len(up) == 1 or np.ptp(view.time) < 10 * WINDOW or len(first) < 8:
         return
     fit = match(view.summed(force) / span, view.summed(_STANDARD * up) / span)
-    across, own, leans = fit.correlation[[0, 1], [1, 0]], np.diagonal(fit.correlation)[:2], fit.size_b[:2] > 0.3
+    across, own, leans = fit.correlation[[0, 1], [1, 0]], fit.own[:2], fit.size_b[:2] > 0.3
     if np.abs(across).min() > 0.7 and np.abs(own).max() < 0.5 and leans.all():
         problem = "x changes as gravity should in y, and y as it should in x: the two axes are swapped"
         yield view.found((FORCE, 0), problem, "swap them under `columns:` in the YAML")

@@ -30,8 +30,9 @@ class View:
         self.error = self.position - self.command
         """How far joints are off their targets [time, joint]."""
         switch, gain = self.get(SWITCH), self.get(P_GAIN)
-        self.driven = np.ones(self.command.shape, bool) if switch is None else switch == 1
-        self.driven &= True if gain is None else gain != 0
+        self.off = np.zeros(self.command.shape, bool) if switch is None else switch == 0
+        """Whether the log says that the servo is switched off [time, joint]."""
+        self.driven = ~self.off if gain is None else ~self.off & (gain != 0)
         """Whether the servo drives, towards its target [time, joint]."""
         self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
         """Usual time from row to row [s]."""
@@ -122,7 +123,8 @@ class View:
         self, where: Where, problem: str, remedy: str, *rows: SupportsInt, aside: bool = False, error: bool = False
     ) -> LogFinding:
         """A finding in a column of the wide CSV, or a channel and index, and in a row or from one to another, counted
-        from 0; `aside`: the column is not to be used; `error`: the log is refused."""
+        from 0; `aside`: the column is not to be used, and the remedy ends with that; `error`: the log is refused."""
+        remedy += "; until then the channel is not used" if aside else ""
         column = where if isinstance(where, str) else self.name(*where)
         first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
         times = (float(self.time[first]), float(self.time[last])) if rows else None

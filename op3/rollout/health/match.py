@@ -34,6 +34,11 @@ class Match:
     size_a: np.ndarray
     size_b: np.ndarray
 
+    @property
+    def own(self) -> np.ndarray:
+        """Correlation of each column of a with the same one of b."""
+        return np.diagonal(self.correlation)
+
 
 def match(a: np.ndarray, b: np.ndarray) -> Match:
     """Compare signals [row, name] without their means."""

@@ -54,12 +54,10 @@ def copied(view: View) -> Found:
             continue
         # a velocity is no copy where it is that of its position
         wrong = [j for j in (index, first) if key == VELOCITY and delayed(view.speed[:, j], column, 0) <= 0.5]
+        error, aside, remedy = key == POSITION and not twins, key != POSITION, "check to which joint they belong"
         for joint in wrong or [index]:
             problem = f"every value equals that of {view.name(key, first + index - joint)}"
-            error, aside = key == POSITION and not twins, key != POSITION
-            yield view.found(
-                (key, joint), problem, "check which of the two joints the values belong to", aside=aside, error=error
-            )
+            yield view.found((key, joint), problem, remedy, aside=aside, error=error)
 
 
 @check("command instead of position", rows=20)
@@ -81,25 +79,25 @@ def unsigned(view: View) -> Found:
         size = float(view.steps(key)[index]) or _counted(column, CHANNELS[key].quantity.unit)
         if not size or column.max() < 2**10 * size:
             continue
-        counts, error = np.round(column / size), key == POSITION
+        counts, angle = np.round(column / size), key == POSITION
+        wrong: list[tuple[str, str, np.ndarray, bool]] = []
         for bit, least in ((10, 1.0), (11, 1.0), (15, 0.2)):  # of loads and currents of small servos, and of all
             signed = counts >= 2**bit
             apart = np.where(signed, counts - 2**bit, counts).max() < least * 2 ** (bit - 1)
-            if signed.any() and not signed.all() and apart and (bit == 15 or (not error and column.min() >= 0)):
+            if signed.any() and not signed.all() and apart and (bit == 15 or (not angle and column.min() >= 0)):
                 which = "the highest of 16 bits" if bit == 15 else f"bit {bit}"
                 problem = f"values from {column[signed].min():.6g} on carry their sign in {which}"
-                remedy, row = "decode sign and magnitude separately", signed.argmax()
-                wrong = error and bit == 15
-                yield view.found((key, index), problem, remedy, row, aside=not wrong, error=wrong)
+                wrong.append((problem, "decode sign and magnitude separately", signed, angle and bit == 15))
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
             shifted = abs(float(np.median(column - 2**bits * size - view.command[:, index]))) < 0.5
             mixed = not high.all() and not (counts[~high] > 2**bits * 0.1).any() and counts.max() < 2**bits
-            if (error and shifted) if high.all() else (high.any() and mixed):
+            if (angle and shifted) if high.all() else (high.any() and mixed):
                 number = np.median(column) if high.all() else column[high].max()
                 problem = f"values near {number:.6g} are negative values of a {bits}-bit register"
-                remedy, row = "read the register as a signed number", high.argmax()
-                yield view.found((key, index), problem, remedy, row, aside=not error, error=error)
+                wrong.append((problem, "read the register as a signed number", high, angle))
+        for problem, remedy, rows, error in wrong:
+            yield view.found((key, index), problem, remedy, rows.argmax(), aside=not error, error=error)
 
 
 def _counted(column: np.ndarray, si_unit: str) -> float:
@@ -133,11 +131,9 @@ def spikes(view: View) -> Found:
             row = int(size.argmax()) + 1
             often = sent and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
             if size[row - 1] > least and not often:
-                problem = f"{'a target' if sent else 'a single reading'} of {column[row]:.4g} lies between "
-                problem += f"{column[row - 1]:.4g} and {column[row + rows]:.4g}"
-                remedy, aside = "remove the row", not (sent or angle)
-                remedy += "; until then the channel is not used" if aside else ""
-                yield view.found((key, index), problem, remedy, row, row + rows - 1, aside=aside)
+                what, where, aside = "a target" if sent else "a single reading", (key, index), not (sent or angle)
+                problem = f"{what} of {column[row]:.4g} lies between {column[row - 1]:.4g} and {column[row + rows]:.4g}"
+                yield view.found(where, problem, "remove the row", row, row + rows - 1, aside=aside)
                 break
 
 
@@ -145,25 +141,18 @@ def spikes(view: View) -> Found:
 def zeros(view: View) -> Found:
     """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there. Or a
     target is 0 there, where none was sent."""
-    for key, least in _LOST.items():
-        values = view.get(key)
-        if values is None:
-            continue
-        if key in (VELOCITY, COMMAND):  # of each joint, while it goes on in its direction
-            before, after = values[:-2], values[2:]
-            near = np.minimum(np.abs(before), np.abs(after)) > np.maximum(least, 15 * view.steps(key))
-            gone = (values[1:-1] == 0) & near & (before * after > 0)
-            for joint in np.flatnonzero(gone.sum(0) > 2).tolist():
-                rows = gone[:, joint].sum()
-                problem = f"it is 0 in {rows} single rows but not next to them: nothing was read or sent there"
-                remedy, aside = "remove these rows", key == VELOCITY
-                remedy += "; until then the channel is not used" if aside else ""
-                yield view.found((key, joint), problem, remedy, gone[:, joint].argmax() + 1, aside=aside)
-        elif values.shape[1] > 1:
-            away, least = np.abs(values).max(1), max(least, 15 * float(view.steps(key).max()))
-            inside = [(a, b) for a, b in runs(away == 0).tolist() if a > 0 and b < len(values) and b - a <= 10]
+    for key in (key for key in _LOST if key in view.log):
+        values, alone = view.log.array(key), key in (VELOCITY, COMMAND)  # of each joint, while it keeps its direction
+        for index, part in enumerate(values.T[:, :, None] if alone else [values] if values.shape[1] > 1 else []):
+            steps, away, most = view.steps(key), np.abs(part).max(1), 1 if alone else 10
+            least = max(_LOST[key], 15 * float(steps[index] if alone else steps.max()))
+            inside = [(a, b) for a, b in runs(away == 0).tolist() if 0 < a < b < len(part) and b - a <= most]
             lost = [(a, b) for a, b in inside if min(away[a - 1], away[b]) > least]
-            for index in range(1 if key == POSITION else values.shape[1]) if lost else ():
-                rows = sum(b - a for a, b in lost)
-                problem = f"all its values are 0 in {rows} rows but not next to them: nothing was read there"
-                yield view.found((key, index), problem, "remove these rows", lost[0][0], lost[0][1] - 1)
+            lost = [(a, b) for a, b in lost if not alone or part[a - 1, 0] * part[b, 0] > 0]
+            rows = sum(b - a for a, b in lost)
+            problem = f"all its values are 0 in {rows} rows but not next to them: nothing was read there"
+            if alone:
+                problem = f"it is 0 in {rows} single rows but not next to them: nothing was read or sent there"
+            for column in range(1 if key == POSITION else len(part[0])) if rows > 2 * alone else ():
+                where, aside = (key, index + column), key == VELOCITY
+                yield view.found(where, problem, "remove these rows", lost[0][0], lost[0][1] - 1, aside=aside)

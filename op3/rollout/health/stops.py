@@ -8,24 +8,13 @@ from scipy.signal import detrend
 
 from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
-from op3.rollout.keys import (
-    COMMAND,
-    CURRENT,
-    FORCE,
-    ORIENTATION,
-    POSITION,
-    RATE,
-    SWITCH,
-    TEMPERATURE,
-    VELOCITY,
-    VOLTAGE,
-)
+from op3.rollout.keys import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, TEMPERATURE, VELOCITY, VOLTAGE
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 
 _SHAKEN = 0.1  # accelerations of a trunk that is held spread by no more [m/s2]; 0.08 in 179 logs, and 0.44 on the feet
 _SETTLES = 0.5  # a servo has reached a target that stands [s]
-_UNUSED = "the channel is not used"
+_REPAIR = "repair what reads or writes it"
 _PERIOD = 0.02  # time from row to row in which motions are looked at [s]
 _UNRELATED = 0.5  # no correlation with its command at the best delay is below: 0.57 in 3,400 joints of sound logs
 _LETS_GO = 0.14  # shortest time for which a joint that lets go is reported [s]
@@ -49,14 +38,12 @@ def saturated(view: View) -> Found:
         first, length = longest_run(flat)
         if top < 3 * size or not top or not max(0.002, 3 / len(flat)) < within.mean() < 0.6:
             continue
-        last, faster = first + length - 1, 0.0
-        if key == VELOCITY and (np.diff(within.astype(int)) == 1).sum() > 1:  # one stretch is a channel that stood
-            turned = np.abs(view.position[2:, index] - view.position[:-2, index])[within]
-            count = float(view.steps(POSITION)[index]) * np.sqrt(len(turned))
-            faster = float((turned.sum() - count) / (view.time[2:] - view.time[:-2])[within].sum())
+        last, faster, leaps = first + length - 1, 0.0, np.abs(np.diff(column))
+        if key == VELOCITY and len(runs(within)) > 1:  # one stretch is a channel that stood
+            count = view.steps(POSITION)[index] / (2 * view.interval * np.sqrt(within.sum()))
+            faster = float(np.abs(view.speed[1:-1, index][within]).mean() - count)
         aside = faster > 1.15 * top + size  # less may be a scale
-        ends = ((first, first - 1), (last, last + 1))
-        beside = min((abs(column[i] - column[j]) for i, j in ends if 0 <= j < len(column)), default=0)
+        beside = min((leaps[row] for row in (first - 1, last) if 0 <= row < len(leaps)), default=0.0)
         if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
             how = f"while the joint moves at {faster:.3g} rad/s" if aside else "which it reaches and leaves fast"
             problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is clipped"
@@ -77,15 +64,12 @@ def stands_still(view: View) -> Found:
         yield view.found((COMMAND, joint), problem, remedy, first, last)
     for _, joint, velocity in view.columns(VELOCITY):
         yield from _velocity_stands(view, joint, velocity, rows)
-    switch = view.get(SWITCH)
-    for joint, (position, target) in enumerate(zip(view.position.T, view.command.T, strict=True)):
+    for joint, (position, target, off) in enumerate(zip(view.position.T, view.command.T, view.off.T, strict=True)):
         yield from _position_stands(view, joint, position)
-        if np.ptp(target) == 0 and view.driven[:, joint].all() and np.ptp(position) > GIVES:
-            moved = np.ptp(position)
+        if np.ptp(target) == 0 and view.driven[:, joint].all() and (moved := np.ptp(position)) > GIVES:
             problem = f"target stays at {target[0]:.4g} rad in every row while the joint moves by {moved:.3g} rad"
             remedy = "record the targets that were sent, or `torque_enable: 0` where the joint was moved by hand"
             yield view.found((COMMAND, joint), problem, remedy)
-        off = np.zeros(len(view.time), bool) if switch is None else switch[:, joint] == 0
         if off.sum() * view.interval > 1 and _follows(target[off], position[off], view.stride(0.05)):
             problem = "the joint follows its target while the log says that its torque is off"
             yield view.found((COMMAND, joint), problem, "correct torque_enable")
@@ -101,18 +85,15 @@ def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
 
 def commands_stop(view: View) -> dict[int, tuple[int, int, float]]:
     """Joints whose targets do not change any more, and that go on as before: first row, last row, and how far [rad]."""
-    stopped, asked, error, found = np.diff(view.command, axis=0) == 0, np.ptp(view.command, axis=0), view.error, {}
+    found, settles, asked = {}, round(_SETTLES / view.interval), np.ptp(view.command, axis=0)
     for joint in np.flatnonzero(asked > 0.1).tolist():
-        first, length = longest_run(stopped[:, joint])
-        last, off = first + length, np.abs(error[:, joint])
-        settled = slice(first + round(_SETTLES / view.interval), last + 1)
-        if length + 1 < round(2 * _SETTLES / view.interval) or not view.driven[first : last + 1, joint].all():
-            continue
-        moved = float(np.ptp(view.position[settled, joint]))
-        goes_on = length * view.interval > 3 * _SETTLES and moved > 0.5 * asked[joint]
+        first, length = longest_run(np.diff(view.command[:, joint]) == 0)
+        last, off = first + length, np.abs(view.error[:, joint])
+        moved = float(np.ptp(view.position[first + settles : last + 1, joint])) if length >= 2 * settles else 0.0
+        goes_on = length > 3 * settles and moved > 0.5 * asked[joint]
         # the next target that it gets is where it is
         resumes = last + 1 < len(off) and off[last] > 4 * max(off[[first, last + 1]])
-        if moved > 0.1 and (goes_on or resumes):
+        if moved > 0.1 and (goes_on or resumes) and view.driven[first : last + 1, joint].all():
             found[joint] = first, last, moved
     return found
 
@@ -129,7 +110,7 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
     if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
         problem = f"velocity stays at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
         where = VELOCITY, joint
-        yield view.found(where, f"{problem}{fastest:.3g} rad/s", _UNUSED, first, first + length, aside=True)
+        yield view.found(where, f"{problem}{fastest:.3g} rad/s", _REPAIR, first, first + length, aside=True)
 
 
 def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
@@ -137,21 +118,18 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     last, dead = first + length, length >= len(position) - 2
     if length * view.interval <= 0.5:
         return
-    rows = slice(first, last + 1)
+    rows, rates, half = slice(first, last + 1), view.get(VELOCITY), view.stride(0.5)
     # how far, not how much: a soft joint rightly stands while a policy dithers about it; and time to act on it
     heeded = slice(first, max(last - round(0.2 / view.interval), first) + 1)
     asked = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
-    rates, half = view.get(VELOCITY), view.stride(0.5)
     rate = np.zeros(length + 1) if rates is None else rates[rows, joint]
     rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # its bound speaks
     turned = integral(view.time[rows], rate)
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
     moves = asked > 0.4 or (asked > 0.1 and _follows_elsewhere(view, joint, rows, asked, dead))
     if moves or said > 0.5:
-        problem = f"position stays at {position[first] + 0.0:.4g} rad while "
-        problem += (
-            f"its command moves by {asked:.3g} rad" if moves else f"its velocity amounts to {said:.3g} rad in 0.5 s"
-        )
+        what = f"command moves by {asked:.3g} rad" if moves else f"velocity amounts to {said:.3g} rad in 0.5 s"
+        problem = f"position stays at {position[first] + 0.0:.4g} rad while its {what}"
         all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
         remedy, aside = "check whether the joint is blocked or its sensor is dead", dead and not all_dead
         yield view.found((POSITION, joint), problem, remedy, first, last, aside=aside, error=all_dead)
@@ -175,31 +153,29 @@ def _sensors_stand(view: View, rows: int) -> Found:
     gyroscope, angles = turned_by_gyroscope(view), view.get(ORIENTATION)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
     turns = bool((np.ptp(gyroscope, axis=0) > 0.05).any()) and not held(view)
-    for key in (CURRENT, VOLTAGE, TEMPERATURE, ORIENTATION, RATE, FORCE):
-        values, trunk = view.get(key), key[0] == "imu"
-        for index, part in enumerate([] if values is None else [values] if trunk else values.T[:, :, None]):
+    for key in (key for key in (CURRENT, VOLTAGE, TEMPERATURE, ORIENTATION, RATE, FORCE) if key in view.log):
+        values, trunk, name = view.log.array(key), key[0] == "imu", key[1].replace("_", " ")
+        for index, part in enumerate([values] if trunk else values.T[:, :, None]):
             same, zero = (np.diff(part, axis=0) == 0).all(1), not part[0].any()
             first, length = longest_run(same)
             run = slice(first, first + length + 1)
-            through = gyroscope if key == ORIENTATION else view.position if trunk else view.position[:, [index]]
             # of turning only what goes to and fro counts, as a gyroscope has a zero of its own
-            path = detrend(through[run], axis=0) if key == ORIENTATION else through[run]
+            through = view.position if trunk else view.position[:, [index]]
+            path = detrend(gyroscope[run], axis=0) if key == ORIENTATION else through[run]
             moved = np.ptp(path, axis=0).max() > (0.05 if key == ORIENTATION else 0.2)
-            name, driven = key[1].replace("_", " "), view.driven[run, index].any() or trunk
+            driven, most = view.driven[run, index].any(), np.abs(part).max()
             if length == len(same):  # a robot that does not turn has no rates, and keeps its orientation
                 dead = {CURRENT: moved and driven, ORIENTATION: turns, RATE: tilted, FORCE: zero or tilted}
-                for column in range(part.shape[1]) if dead.get(key, zero) else ():
-                    problem = f"{name} stays at {part[0, column]:.4g} in every row"
-                    yield view.found((key, index + column), problem, _UNUSED, aside=True)
-                continue
-            size, most = abs(part[first, 0]), np.abs(part).max()
-            limited = key == CURRENT and (size == most or (size == 0 and not driven))
-            same[run] = False
-            stops = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
-            if length > 2 * rows and moved and not limited and stops and key not in (VOLTAGE, TEMPERATURE):
+                problem, when, stuck = f"{name} stays at {{:.4g}} in every row", (), dead.get(key, zero)
+            else:
+                size, same[run] = abs(part[first, 0]), False
+                limited = key == CURRENT and (size == most or (size == 0 and not driven))
+                longer = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
+                stuck = length > 2 * rows and moved and not limited and longer and key not in (VOLTAGE, TEMPERATURE)
                 problem = f"{name} keeps the same values for {length} rows, while the robot moves"
-                for column in range(part.shape[1]):
-                    yield view.found((key, index + column), problem, _UNUSED, first, first + length, aside=True)
+                when = first, first + length
+            for column, value in enumerate(part[0]) if stuck else ():
+                yield view.found((key, index + column), problem.format(value), _REPAIR, *when, aside=True)
 
 
 def held(view: View) -> bool:
@@ -252,16 +228,10 @@ def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval
     none = driven & (size > asked) & (np.abs(given) < 0.1 * size)
     first, length = longest_run(none)
     rest = driven & ~none & (size > 0.25 * asked)
-    least = max(3, round(_LETS_GO / interval))
-    if length < least or rest.sum() <= 10 or np.median(np.abs(given[rest]) / size[rest]) <= 0.3:
+    if length < max(3, round(_LETS_GO / interval)) or rest.sum() <= 10:
         return []
-    start, end = _around(np.abs(given) < 0.1 * asked, first)
-    return [(min(start, first), max(end, first + length) - 1)]
-
-
-def _around(rows: np.ndarray, row: int) -> tuple[int, int]:
-    """The run of truths [row] in which a row lies, and the row behind it."""
-    return next(((first, end) for first, end in runs(rows).tolist() if first <= row < end), (row, row))
+    usual, around = np.median(np.abs(given[rest]) / size[rest]), runs(none | (np.abs(given) < 0.1 * asked)).tolist()
+    return [(start, end - 1) for start, end in around if start <= first < end and usual > 0.3]
 
 
 def _astray(view: View, reported: set[int]) -> Found:
@@ -309,16 +279,13 @@ def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: floa
     least = np.minimum(_PULLS * np.abs(windows).mean(1), _SPEEDS * np.quantile(np.abs(moved), 0.98))
     stays = np.where(nearer.mean(1) < least, np.maximum(windows.min(1), -windows.max(1)), 0.0)
     # a target that passes by a joint that hangs, and the way back, belong to it
-    near, away, found = maximum_filter1d(np.abs(off), 2 * past + 1), np.zeros(len(off), bool), []
-    while (most := float(stays.max())) > _FAR:
-        first, end = _around(near > most / 6, int(stays.argmax()))
-        worst = first + int(np.abs(off[first:end]).argmax())
-        found.append((first, end, float(np.abs(off[worst])), float(np.ptp(angle[first : worst + 1]))))
-        away[first:end], stays[max(first - rows + 1, 0) : end] = True, 0.0
-    rest = np.abs(off[driven & ~away])
-    usual = np.inf if 2 * len(rest) < driven.sum() or not found else float(np.quantile(rest, 0.98))
-    sure = [time[:3] for time in found if time[2] > _TIMES * usual and time[3] < _CARRIED * time[2]]
-    return sorted(sure), usual
+    near, rest, found = maximum_filter1d(np.abs(off), 2 * past + 1), driven.copy(), []
+    for first, end in runs(near > max(float(stays.max()), _FAR) / 6).tolist():
+        if stays[first:end].max(initial=0.0) > _FAR:
+            worst, rest[first:end] = first + int(np.abs(off[first:end]).argmax()), False
+            found.append((first, end, float(np.abs(off[worst])), float(np.ptp(angle[first : worst + 1]))))
+    usual = float(np.quantile(np.abs(off[rest]), 0.98)) if found and 2 * rest.sum() >= driven.sum() else np.inf
+    return [time[:3] for time in found if time[2] > _TIMES * usual and time[3] < _CARRIED * time[2]], usual
 
 
 @check(
@@ -330,28 +297,27 @@ def unrelated(view: View) -> Found:
     if view.metadata.mount not in HOLDING:
         return
     angle, target, driven, stride = view.thinned(_PERIOD)
-    explained, lost, torques, asked = np.zeros(len(view.joints), bool), dict[int, float](), set[int](), 0
+    pulled, lost, torques, asked = np.zeros(len(view.joints), bool), dict[int, float](), set[int](), 0
     for key, values, gain in view.drives:
         if key == CURRENT and gain is not None:  # a soft joint that yields, and pulls by as much
-            explained = np.diagonal(match(values, -gain * view.error).correlation) > SURE
+            pulled = match(values, -gain * view.error).own > SURE
     for joint, on in enumerate(driven.T):
         a, t = angle[on, joint], target[on, joint]
         if len(a) < 20 or np.ptp(t) < 0.1 or np.ptp(a) < 0.05:
             continue
         asked += 1
         best = delays(a, t, range(0, min(26, len(a) // 4), 2)).max()
-        if best < _UNRELATED and not explained[joint]:
+        if best < _UNRELATED and not pulled[joint]:
             lost[joint] = best
             torques |= {joint} if on.all() and _is_torque(a, t, stride * view.interval) else set()
     for joint, best in lost.items():
+        where = (COMMAND if joint in torques and 2 * len(torques) > asked else POSITION), joint
         problem = f"the position does not follow its command (correlation {best:.2f})"
-        if joint in torques and 2 * len(torques) > asked:
+        remedy = "check whether both belong to this joint and to one recording"
+        if error := where[0] == COMMAND:
             problem += ", which depends on acceleration, speed and gravity as a torque does"
             remedy = "name the command <joint>.load under `columns:`, and record position targets"
-            yield view.found((COMMAND, joint), problem, remedy, error=True)
-        else:
-            remedy = "check whether both belong to this joint and to one recording"
-            yield view.found((POSITION, joint), problem, remedy)
+        yield view.found(where, problem, remedy, error=error)
 
 
 def _is_torque(angle: np.ndarray, command: np.ndarray, period: float) -> bool:

@@ -35,7 +35,8 @@ _FILTER, _LOSS = 1e-3, 2.5e-4  # order of what a filter adds of the change of a 
 _ABSURD = 1e9  # numbers beyond it are refused elsewhere
 _SLOWEST = 0.04  # between rows further apart differences, stamps and the trapezoid rule are as much as any fault [s]
 
-_UNUSED = "the channel is not used; correct it if you know how"
+_CORRECT = "correct it if you know how"
+_LAGS = "velocity {} the change of position by {:.2g} s"
 
 
 @check("velocity against position", VELOCITY, rows=20)
@@ -66,13 +67,11 @@ def velocity(view: View) -> Found:
             remedy = f"write `unit: {unit}` for it under `columns:` in the YAML" if unit else remedy
             yield view.found((VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax(), error=True)
         elif ratio and not refuse and sent.correlation[0, 0] > SURE and abs(np.log(max(moves * ratio, 1e-9))) < 0.15:
-            problem = (
-                f"the position moves {moves:.3g} times as far as its command, and the velocity agrees with the command"
-            )
+            problem = f"the position moves {moves:.3g} times as far as its command, and the velocity as its command"
             remedy = "check the resolution and the gear ratio of the position's conversion"
             yield view.found((POSITION, joint), problem, remedy)
         else:
-            yield view.found((VELOCITY, joint), problem + clock, _UNUSED, aside=True)
+            yield view.found((VELOCITY, joint), problem + clock, _CORRECT, aside=True)
     for joint in np.flatnonzero(np.ptp(rate, axis=0)).tolist():
         if joint not in wrong:
             yield from _mild(view, joint, rate[:, joint], bool(fit.size_b[joint] > max(10 * steps[joint], 0.03 * span)))
@@ -80,10 +79,9 @@ def velocity(view: View) -> Found:
 
 def _gross(view: View, fit: Match, joint: int, summed: np.ndarray) -> tuple[str, float | None] | None:
     """What is wrong with the velocity of a joint that moves, and the factor where it is one."""
-    own, ratio = fit.correlation[joint, joint], float(fit.ratio[joint, joint])
-    sure = np.abs(fit.correlation[joint])
-    fits = (sure > 0.97) & (fit.ratio[joint] > 0) & ((abs(own) < SURE) | (ratio < 0)) & (np.arange(len(sure)) != joint)
-    other = view.joints[int(np.where(fits, sure, 0).argmax())] if fits.any() else None
+    own, ratio = fit.own[joint], float(fit.ratio[joint, joint])
+    sure = np.where(np.arange(len(fit.own)) == joint, 0.0, fit.correlation[joint])
+    other = view.joints[sure.argmax()] if sure.max() > 0.97 and (abs(own) < SURE or ratio < 0) else None
     if abs(own) > SURE and not 0.6 < ratio < 1.6 and abs(ratio) > np.finfo(float).tiny:
         words = f"the velocity is {ratio:.3g} times the derivative of the position{_says(ratio, view.interval)}"
         return words + (f", or it is that of {other}" if other else ""), ratio
@@ -93,7 +91,7 @@ def _gross(view: View, fit: Match, joint: int, summed: np.ndarray) -> tuple[str,
     lag, best, least = _late(view, view.position[:, joint], rate)
     # what shakes is in step with itself a period later again, but not between
     if abs(lag) > 0.08 and best > 0.95 and 1 - best < 0.3 * (1 - own) and (own < 0.5 or least > own - 0.05):
-        return _comes(lag), None
+        return _LAGS.format("lags" if lag > 0 else "leads", abs(lag)), None
     if own > SURE:
         return None
     if summed.min() >= 0 and delays(summed, np.abs(view.turned(view.position[:, joint])), [0])[0] > SURE:
@@ -102,25 +100,18 @@ def _gross(view: View, fit: Match, joint: int, summed: np.ndarray) -> tuple[str,
         return None  # it shakes faster than the windows are long, seen through a filter
     if other and own < 0.7:
         return f"velocity is that of {other}", None
-    if own < 0.3 and longest_run(np.diff(rate) == 0)[1] * view.interval < 0.4:  # else it stands still
-        return f"velocity does not follow the position (correlation {own:.2f})", None
-    return None
+    follows = own >= 0.3 or longest_run(np.diff(rate) == 0)[1] * view.interval >= 0.4  # or it stands still
+    return None if follows else (f"velocity does not follow the position (correlation {own:.2f})", None)
 
 
 def _says(ratio: float, interval: float) -> str:
     """What a factor between velocity and the change of position means, in words."""
     if abs(ratio / interval - 1) < 0.03:
         return ", as if it were the difference from row to row"
-    turned = " with the sign reversed" if ratio < 0 else ""
     # registers count in steps of a velocity, a derivative of positions in their unit per second
     readings = (("it", ratio, "rad/s"), ("the position", 1 / ratio, "rad"))
-    causes = [as_if(reading, tolerance=near) for reading in readings for near in (0.05, 0.12)]
-    cause = next((cause for cause in causes if cause), "")
-    return turned if abs(ratio + 1) < 0.25 else cause + turned
-
-
-def _comes(lag: float) -> str:
-    return f"velocity {'lags' if lag > 0 else 'leads'} the change of position by {abs(lag):.2g} s"
+    causes = (as_if(reading, tolerance=near) for reading in readings for near in (0.05, 0.12) if abs(ratio + 1) >= 0.25)
+    return next(filter(None, causes), "") + " with the sign reversed" * (ratio < 0)
 
 
 def _late(view: View, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
@@ -154,20 +145,13 @@ def _weighed(causes: np.ndarray, summed: np.ndarray, count: float) -> tuple[np.n
 
 def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
     """What a joint's velocities [time] differ in from the change of its position; factor and delay where it moves."""
-    angle, near, grid, interval = (
-        view.position[:, joint],
-        view.stride(0.02),
-        float(view.steps(VELOCITY)[joint]),
-        view.interval,
-    )
-    first, last, _ = view.windows
-    inside = (first >= near) & (last < len(angle) - near)
-    first, last = first[inside], last[inside]
+    angle, near, interval, grid = view.position[:, joint], view.stride(0.02), view.interval, view.steps(VELOCITY)[joint]
+    inside = (view.windows[0] >= near) & (view.windows[1] < len(angle) - near)
+    first, last = (rows[inside] for rows in view.windows[:2])
     # the position's change, what a delay and a filter of the estimator leave of it, and a constant
     ahead, behind, beside = np.roll(angle, -near), np.roll(angle, near), near * interval
     slope, bend = (ahead - behind) / (2 * beside), (ahead - 2 * angle + behind) / beside**2
-    every = view.turned(np.stack([angle, slope, bend, view.time], axis=1))[inside]
-    total = view.summed(speed)[inside]
+    every, total = view.turned(np.stack([angle, slope, bend, view.time], axis=1))[inside], view.summed(speed)[inside]
     # few windows, or absurd numbers, or none at all
     if len(first) < 8 * OVERLAP or not np.max([np.abs(every).max(), np.abs(total).max()]) < _ABSURD:
         return
@@ -181,12 +165,11 @@ def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
     if min((sign * turned > 0.2 * np.abs(turned).max()).sum() for sign in (-1, 1)) > 20:  # where it falls, and rises
         sides = fitted(np.column_stack([np.minimum(turned, 0), np.maximum(turned, 0), causes[:, 1:]]), summed)[:2]
     scatter = float(np.median(np.abs(speed[1:-1] - (speed[2:] + speed[:-2]) / 2)))  # against its neighbours in time
-    of_position = float(np.mean(np.abs(np.diff(view.position[:, joint], 3)))) / (2 * interval)
-    size, remedy, rows = np.abs(left), _UNUSED, ()
-    worst = int(size.argmax())
+    of_position = float(np.mean(np.abs(np.diff(angle, 3)))) / (2 * interval)
+    size, remedy, rows, worst = np.abs(left), _CORRECT, (), int(np.abs(left).argmax())
     stops = float(np.abs(np.diff(speed[first[worst] : last[worst] + 1])).max()) * interval  # between two rows
     if clear and not _EARLY - uncertain[1] - interval < delay < _LATE + uncertain[1] + interval:
-        problem = _comes(delay)
+        problem = _LAGS.format("lags" if delay > 0 else "leads", abs(delay))
     elif clear and share > 0.99 and abs(sides[0] - sides[1]) > _SIDED:
         wrong = int(abs(sides[1] - 1) > abs(sides[0] - 1))
         problem = f"{('negative', 'positive')[wrong]} velocities are {sides[wrong]:.2g} times the change of "
@@ -209,4 +192,4 @@ def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
         remedy = "check which of them has wrong readings there, and remove these rows"
     else:
         return
-    yield view.found((VELOCITY, joint), problem, remedy, *rows, aside=remedy == _UNUSED)
+    yield view.found((VELOCITY, joint), problem, remedy, *rows, aside=remedy == _CORRECT)
