@@ -243,6 +243,13 @@ class ServoMake(Record):
         """Torque at standstill under full duty [N m], at a supply voltage [V] or the nominal one."""
         return self.output_constant * (voltage or self.supply.si) / self.motor.terminal_resistance.si
 
+    def stiffness(self, voltage: float | None = None) -> float:
+        """Torque per angle and unit of gain of the position loop, at a supply voltage [V] or the nominal one."""
+        if self.loop == "current":
+            return self.output_constant
+        assert self.position_law is not None
+        return self.position_law.error_gain.si * self.stall_torque(voltage)
+
     def stands(self, voltage: float) -> bool:
         """Whether a supply voltage [V] is within its limits."""
         return self.limits.low_voltage.si <= voltage <= self.limits.high_voltage.si

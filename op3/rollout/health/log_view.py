@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple, SupportsInt
 
 import numpy as np
 
+from op3.robot.robot import Robot
 from op3.robot.servo_make import ServoMake, find_servo
+from op3.rollout.errors import LogError
 from op3.rollout.health.finding import ERROR, WARNING, LogFinding
 from op3.rollout.health.match import Match, integral, match, step, windows
-from op3.rollout.keys import COMMAND, CURRENT, DUTY, FIRMWARE_GAIN, P_GAIN, POSITION, SWITCH, VELOCITY
+from op3.rollout.keys import COMMAND, CURRENT, DUTY, FIRMWARE_GAIN, P_GAIN, POSITION, SWITCH, VELOCITY, VOLTAGE
 from op3.rollout.schema import CHANNELS, Key, column_names
 
 if TYPE_CHECKING:
@@ -66,6 +68,30 @@ class View:
         unknown gain."""
         gains = {CURRENT: self.get(P_GAIN), DUTY: self.duty_gain}
         return [(key, self.log.array(key), gain) for key, gain in gains.items() if key in self.log]
+
+    @cached_property
+    def robot(self) -> Robot | None:
+        """The robot that the metadata name; None where they name none, or its file is not there."""
+        try:
+            return self.log.named_robot if self.metadata.robot_file else None
+        except LogError:  # the check of the robot reports it
+            return None
+
+    @cached_property
+    def stiffness(self) -> np.ndarray:
+        """Torque per angle of each joint's position loop [N m/rad]; NaN where its servo or its gain is unknown."""
+        stiffness = np.full(len(self.joints), np.nan)
+        for joint, make in enumerate(self.log.servos):
+            gain = self.get(P_GAIN if make is not None and make.loop == "current" else FIRMWARE_GAIN)
+            if make is not None and gain is not None:
+                stiffness[joint] = np.median(gain[:, joint]) * make.stiffness(self.supply(joint))
+        return stiffness
+
+    def supply(self, joint: int) -> float | None:
+        """Usual voltage that a joint's servo measures, or that of its bench [V]; None where neither is known."""
+        volts, bench = self.get(VOLTAGE), self.metadata.mount == "pendulum"
+        measured = 0.0 if volts is None else float(np.median(volts[:, joint]))
+        return measured or (self.metadata.battery if bench else None)
 
     @cached_property
     def windows(self) -> tuple[np.ndarray, np.ndarray, float]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from op3.robot.robot import Robot
-from op3.rollout.errors import LogError
 from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import GIVES, SURE, fitted
 from op3.rollout.health.numbers import TURN, are_radians
 from op3.rollout.health.tracking_faults import exchanged
-from op3.rollout.keys import COMMAND, CURRENT, P_GAIN, POSITION, VELOCITY, VOLTAGE
+from op3.rollout.keys import COMMAND, CURRENT, P_GAIN, POSITION, VELOCITY
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit
@@ -26,11 +25,7 @@ _SHORT = 0.025  # in a longer time from row to row [s] a joint may come to a new
 @check("limits of the robot")
 def beyond_limits(view: View) -> Found:
     """A joint is mostly where its robot's file says that it cannot go: its sign or its zero is another."""
-    if view.metadata.robot_file is None:
-        return
-    try:
-        known = view.log.named_robot
-    except LogError:  # the check of the robot reports it
+    if (known := view.robot) is None:
         return
     names = [name for name in view.joints if name in known.joints]
     angles, (low, high) = dict(zip(view.joints, view.position.T, strict=True)), known.limits[known.indices(names)].T
@@ -76,26 +71,24 @@ def constant_offset(view: View) -> Found:
     for joint, offset in middle.items():
         rows, sag = view.driven[:, joint], sags[joint]
         off, at, angle, speed = (table[rows, joint] for table in (view.error, view.command, view.position, view.speed))
-        others = [abs(other) for name, other in middle.items() if name != joint]
+        others, moves = [abs(other) for name, other in middle.items() if name != joint], np.ptp(np.sin(angle)) > 0.5
         if (turns := round(offset / TURN)) and abs(offset - turns * TURN) < 1.0 and np.ptp(off) < np.pi:
             problem = f"the position is {offset:+.3f} rad away from the command, about {turns:+.0f} turn"
             yield view.found((POSITION, joint), problem, "write `unwrap: true` into its YAML", error=True)
             continue
         if len(others) >= 3:
-            odd = abs(offset) > max(0.15, 5 * float(np.quantile(others, 0.75)))
-            odd |= abs(offset) > max(GIVES, 5 * float(off.std()))
+            least = min(max(0.15, 5 * float(np.quantile(others, 0.75))), max(GIVES, 5 * float(off.std())))
         else:  # what gravity and a soft loop leave goes with the angle, and what a slow one leaves with the speed
-            moves = np.ptp(np.sin(angle)) > 0.5
             causes = np.stack([np.ones(len(angle)), np.sin(angle), speed], axis=1)
             fit = fitted(causes, off) if moves else np.array([offset, 0.0, 0.0])
             offset = float(fit[0])
-            odd = abs(offset) > max(0.2 if moves else GIVES, 3 * float((off - causes @ fit).std()))
+            least = max(0.2 if moves else GIVES, 3 * float((off - causes @ fit).std()))
         yields = 0.3 < offset / (sag or np.inf) < 3.0
         if gain is not None and current is not None:  # damping has no mean
             pulled = -gain[rows, joint] * off
             yields |= abs(np.median(current[rows, joint] - pulled)) < 0.5 * abs(np.median(pulled))
         dead = np.ptp(view.position[:, joint]) == 0 and np.ptp(at) > 0.2  # a dead sensor is another check's
-        if dead or yields or not odd:
+        if dead or yields or not abs(offset) > least:
             continue
         mirrored = np.ptp(at) < 0.05 and abs(offset + 2 * float(np.median(at))) < 0.05
         cause = "its sign is reversed" if mirrored else "a different zero, or a homing offset in the servo"
@@ -111,28 +104,13 @@ def constant_offset(view: View) -> Found:
 def _sags(view: View) -> np.ndarray:
     """How far gravity takes each joint off its command, by the robot's masses and its servos' stiffness [joint] in rad;
     NaN where the robot, its servo or its gain is unknown, or where it stands on its feet."""
-    sags, rows = np.full(len(view.joints), np.nan), np.linspace(0, len(view.time) - 1, 9).astype(int)
-    try:
-        robot = view.log.robot if view.metadata.robot_file and view.metadata.mount in HOLDING else None
-    except LogError:  # the check of the robot reports it
-        robot = None
-    if robot is None or not set(view.joints) <= set(robot.joints):
-        return sags
-    columns, volts = robot.indices(view.joints), view.get(VOLTAGE)
-    pose = np.tile(robot.home, (len(rows), 1))
+    robot, rows = view.robot, np.linspace(0, len(view.time) - 1, 9).astype(int)
+    if robot is None or view.metadata.mount not in HOLDING or not set(view.joints) <= set(robot.joints):
+        return np.full(len(view.joints), np.nan)
+    columns, pose = robot.indices(view.joints), np.tile(robot.home, (len(rows), 1))
     pose[:, columns] = view.position[rows]
     weight = np.median([robot.gravity(angles)[columns] for angles in pose], axis=0)
-    for joint, make in enumerate(view.log.servos):
-        gain = view.get(("command", "p_gain" if make is not None and make.loop == "current" else "firmware_gain"))
-        if make is None or gain is None:
-            continue
-        stiffness = float(np.median(gain[:, joint])) * make.output_constant
-        if make.loop == "firmware":
-            assert make.position_law is not None
-            supply = make.supply.si if volts is None or not volts[:, joint].any() else float(np.median(volts[:, joint]))
-            stiffness *= make.position_law.error_gain.si * supply / make.motor.terminal_resistance.si
-        sags[joint] = -weight[joint] / stiffness if stiffness else np.nan
-    return sags
+    return np.where(view.stiffness > 0, -weight / view.stiffness, np.nan)
 
 
 @check("coarse steps")
@@ -204,7 +182,7 @@ def _goes_round(view: View, bound: float) -> np.ndarray:
     far, fit = np.abs([view.position, view.command]).max((0, 1)) > bound, view.rates
     if fit is None or 2 * far.sum() >= len(far):
         return np.zeros(len(far), bool)
-    return far & (np.diagonal(fit.correlation) > SURE) & (np.abs(np.diagonal(fit.ratio) - 1) < 0.1)
+    return far & (fit.own > SURE) & (np.abs(np.diagonal(fit.ratio) - 1) < 0.1)
 
 
 @check("impossible speed", rows=2, unless="bounds")

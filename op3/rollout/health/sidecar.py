@@ -8,7 +8,7 @@ from op3.robot.servo_make import load_servo, servo_files
 from op3.rollout.errors import LogError, rename
 from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.health.match import fitted
-from op3.rollout.keys import D_GAIN, P_GAIN, TEMPERATURE, VOLTAGE
+from op3.rollout.keys import D_GAIN, FIRMWARE_GAIN, P_GAIN, TEMPERATURE, VOLTAGE
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
@@ -89,13 +89,9 @@ def weight(view: View) -> Found:
     if about.mount != "pendulum" or make is None or gain is None:
         return
     assert make.position_law is not None
-    most, angle, volts = make.position_law.max_duty.si, view.position[:, 0], view.get(VOLTAGE)
-    supply = float(np.median(volts)) if volts is not None and volts.any() else about.battery or make.supply.si
-    stall = make.output_constant * supply / make.motor.terminal_resistance.si
-    torque, speed = stall * np.clip(-gain[:, 0] * view.error[:, 0], -most, most), view.speed[:, 0]
-    first, last, span = view.windows
-    off = np.cumsum(~view.driven[:, 0])
-    used = off[first] == off[last]
+    most, angle, speed = make.position_law.max_duty.si / gain[:, 0], view.position[:, 0], view.speed[:, 0]
+    torque, span = view.stiffness[0] * np.clip(-view.error[:, 0], -most, most), view.windows[2]
+    used = view.turned(np.cumsum(~view.driven[:, 0])) == 0
     mean = view.summed(np.stack([torque, np.sin(angle), speed, np.tanh(speed / 0.2)], axis=1))[used] / span
     if len(mean) < 20:
         return
@@ -103,10 +99,9 @@ def weight(view: View) -> Found:
     causes = np.column_stack([mean[:, 1:], view.turned(speed)[used]])
     pushed = float(fitted(causes, mean[:, 0])[0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
     if np.ptp(mean[:, 1]) > 0.3 and not _WEIGHS[0] < pushed < _WEIGHS[1]:
-        problem = (
-            f"the servo's torque is {pushed:.2g} times the weight of {about.mass:g} kg at {about.length:g} m, by its "
-        )
-        problem += f"gain of {np.median(view.log.array(('command', 'firmware_gain'))):g} at {supply:g} V"
+        problem = f"the servo's torque is {pushed:.2g} times the weight of {about.mass:g} kg at {about.length:g} m, by "
+        gain, volts = np.median(view.log.array(FIRMWARE_GAIN)), view.supply(0) or make.supply.si
+        problem += f"its gain of {gain:g} at {volts:g} V"
         yield view.found("field mass", problem, "check mass, length, firmware_gain, battery and servo")
 
 
@@ -145,10 +140,8 @@ def supply(view: View) -> Found:
         read = median if 1 < median < 60 else battery if bench else 0.0
         low, high = make.limits.low_voltage.si, make.limits.high_voltage.si
         if read and not low / _FULL < read < high * _FULL:
-            problem = (
-                f"the supply is {read:.3g} V, but the file of the {make.name} is valid from {low:g} to {high:g} V: "
-            )
-            problem += f"it is another variant of the {make.name}, with another motor and gear"
+            problem = f"the supply is {read:.3g} V, but the file of the {make.name} is valid from {low:g} to "
+            problem += f"{high:g} V: it is another variant of the {make.name}, with another motor and gear"
             remedy = f"write its own make or file under `servo:`; the constants of {make.name} are wrong for it"
             yield view.found("field servo", problem, remedy)
     if any(servos) and not bench:  # a small servo has a converter of its own
