@@ -17,8 +17,8 @@ import numpy as np
 
 from op3.common.settings import Listed, Named, Number, read_yaml, settings, shown
 from op3.rollout.errors import LogError, located, rename
+from op3.rollout.finding import WARNING, LogFinding
 from op3.rollout.guess import guess, guess_all
-from op3.rollout.health.finding import WARNING, LogFinding
 from op3.rollout.metadata import Metadata
 from op3.rollout.readers.reader import Column, Recording, Stream
 from op3.rollout.readers.text import unpacked

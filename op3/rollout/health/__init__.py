@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from op3.rollout.health.finding import ERROR, WARNING, LogFinding, merge_findings
+from op3.rollout.finding import ERROR, WARNING, LogFinding, merge_findings
 from op3.rollout.health.log_view import CHECKS, examine
 
 # each enters its checks into the registry; of several errors the first is raised, so causes come before what they bring

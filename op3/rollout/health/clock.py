@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import delays, longest_run, unexplained
 from op3.rollout.keys import FORCE, ORIENTATION, POSITION, RATE, VELOCITY
+from op3.rollout.match import delays, longest_run, unexplained
 from op3.rollout.validate import GAP, holes
 
 _TOLERANCE = 0.06  # largest relative difference between the clock and the metadata's rate
@@ -126,8 +126,7 @@ def stale(view: View) -> Found:
     trunk = {key: _new_in_every(view.log.array(key)) for key in (ORIENTATION, RATE, FORCE) if key in view.log}
     rarely = {key: every for key, every in trunk.items() if every >= 3}
     if rarely and len(rarely) == len(trunk):
-        problem = f"the trunk's sensors have new values only every {min(rarely.values())} rows"
-        yield view.found("imu", problem, remedy)
+        yield view.found("imu", f"the trunk's sensors have new values only every {min(rarely.values())} rows", remedy)
     for key, every in rarely.items() if len(rarely) < len(trunk) else ():
         problem = f"the {key[1].replace('_', ' ')} has new values only every {every} rows"
         yield view.found((key, 0), problem, remedy)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import as_if
 from op3.rollout.keys import CURRENT
+from op3.rollout.match import as_if
 from op3.rollout.schema import CHANNELS
 
 _ZERO = 0.1  # no current sensor is so far off at nothing [A], nor by 2 % of what it reads; 0.03 in sound logs
@@ -45,9 +45,8 @@ def drive(view: View) -> Found:
         # a sensor's zero: what the law leaves on average, where it explains nearly all
         far = np.abs(zero) > np.maximum(_ZERO, 0.02 * np.abs(values).max(0))
         for joint in np.flatnonzero(known & clear & ~off & far & (key == CURRENT)):
-            problem = (
-                f"current differs from gain times error by {zero[joint]:+.2g} A on average: its sensor has an offset"
-            )
+            problem = f"current differs from gain times error by {zero[joint]:+.2g} A on average: "
+            problem += "its sensor has an offset"
             if abs(zero[joint]) > 5 * _ZERO and gain is not None:  # no sensor is so far off
                 problem += f", or the position one of {zero[joint] / float(np.median(gain[rows, joint])):+.2g} rad"
             yield view.found((key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")

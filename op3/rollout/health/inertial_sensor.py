@@ -11,9 +11,9 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import WINDOW, as_if, match, no_sensor
 from op3.rollout.health.stops import held, turned_by_gyroscope
 from op3.rollout.keys import FORCE, ORIENTATION, RATE
+from op3.rollout.match import WINDOW, as_if, is_unit, match
 from op3.rollout.units import likely_unit
 
 _STANDARD = 9.80665
@@ -59,7 +59,7 @@ def orientation(view: View) -> Found:
     """Gyroscope and accelerometer agree, and the orientation with them only when it is read in another way."""
     angles, (first, last, _) = view.log.array(ORIENTATION), view.windows
     turned, pushed = (view.summed(view.log.array(key)) for key in (RATE, FORCE))
-    if len(first) < 8 or not (turned.any() and (size := np.linalg.norm(pushed, axis=1)).all()):
+    if not view.long or not (turned.any() and (size := np.linalg.norm(pushed, axis=1)).all()):
         return
 
     def misfits(read: Callable[[np.ndarray], Rotation]) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def gyroscope(view: View) -> Found:
     unit and sign show in how gravity turns in the trunk."""
     rate, (first, last, span), force = view.log.array(RATE), view.windows, view.get(FORCE)
     angles, axes, near, what = view.get(ORIENTATION), 3, 0.05, "derivative of the orientation"
-    if angles is None and force is not None and len(first) >= 8:  # roll and pitch are those of gravity, roughly
+    if angles is None and force is not None and view.long:  # roll and pitch are those of gravity, roughly
         down = np.median(force[:, 2]) < 0  # which another check reports
         x, y, z = (uniform_filter1d(-axis if down else axis, max(1, int(last[0] - first[0]))) for axis in force.T)
         angles = np.stack([np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z)), 0 * x], axis=1)
@@ -96,7 +96,7 @@ def gyroscope(view: View) -> Found:
     for axis in np.flatnonzero(shaken[:axes]):
         problem = f"the gyroscope swings by {read[axis]:.2g} rad, but the trunk turns by only {turns[axis]:.2g} rad"
         yield view.found((RATE, axis), problem, _unit_of_rates(None))
-    if len(first) < 8:
+    if not view.long:
         return
     body = (_rotation(angles[first]).inv() * _rotation(angles[last])).as_rotvec()
     turned, world = view.summed(rate), _rotation(angles[first]).apply(body)
@@ -109,7 +109,7 @@ def gyroscope(view: View) -> Found:
     moving = fit.size_b > np.maximum(4 * view.steps(ORIENTATION) if axes == 3 else 0.0, 0.03 * span)
     for axis in range(axes):
         own, ratio, other = fit.own[axis], float(fit.ratio[axis, axis]), fit.correlation[:, axis]
-        whose, odd, error = int(np.abs(other).argmax()), no_sensor(ratio), False
+        whose, odd, error = int(np.abs(other).argmax()), is_unit(ratio), False
         least, most = (0.5, 2.0) if abs(own) < 0.97 else (0.75, 1.35)
         swapped = abs(other[whose]) > 0.9 and 1 - abs(other[whose]) < 0.1 * (1 - abs(own))
         if moving[axis] and abs(own) > 0.9 and not least < ratio < most and (axes == 3 or odd):
@@ -187,8 +187,8 @@ def gravity(view: View) -> Found:
 
 def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Found:
     """An accelerometer that reads against the change of gravity in its axes, where the trunk leans to and fro."""
-    first, _, span = view.windows
-    if len(up) == 1 or np.ptp(view.time) < 10 * WINDOW or len(first) < 8:
+    span = view.windows[2]
+    if len(up) == 1 or np.ptp(view.time) < 10 * WINDOW or not view.long:
         return
     fit = match(view.summed(force) / span, view.summed(_STANDARD * up) / span)
     across, own, leans = fit.correlation[[0, 1], [1, 0]], fit.own[:2], fit.size_b[:2] > 0.3

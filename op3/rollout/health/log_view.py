@@ -12,9 +12,9 @@ import numpy as np
 from op3.robot.robot import Robot
 from op3.robot.servo_make import ServoMake, find_servo
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import ERROR, WARNING, LogFinding
-from op3.rollout.health.match import Match, integral, match, step, windows
+from op3.rollout.finding import ERROR, WARNING, LogFinding
 from op3.rollout.keys import COMMAND, CURRENT, DUTY, FIRMWARE_GAIN, P_GAIN, POSITION, SWITCH, VELOCITY, VOLTAGE
+from op3.rollout.match import OVERLAP, Match, integral, match, step, windows
 from op3.rollout.schema import CHANNELS, Key, column_names
 
 if TYPE_CHECKING:
@@ -98,6 +98,11 @@ class View:
         """See `match.windows`."""
         return windows(self.time)
 
+    @property
+    def long(self) -> bool:
+        """Whether there are so many windows that what is alike in them means something."""
+        return len(self.windows[0]) >= 4 * OVERLAP
+
     def turned(self, angles: np.ndarray) -> np.ndarray:
         """Change of angles [time, name] within each window [window, name]."""
         first, last, _ = self.windows
@@ -111,7 +116,7 @@ class View:
     def rates(self) -> Match | None:
         """Velocities, summed over windows, against how far joints turn there; None without them, or for few windows."""
         rate = self.get(VELOCITY)
-        if rate is None or len(self.time) < 20 or len(self.windows[0]) < 8:
+        if rate is None or len(self.time) < 20 or not self.long:
             return None
         return match(self.summed(rate), self.turned(self.position))
 
@@ -153,9 +158,9 @@ class View:
         remedy += "; until then the channel is not used" if aside else ""
         column = where if isinstance(where, str) else self.name(*where)
         first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
-        times = (float(self.time[first]), float(self.time[last])) if rows else None
-        counted = (first + 1, last + 1) if rows else None
-        return LogFinding(ERROR if error else WARNING, problem, remedy, column, counted, times, aside)
+        times, counted = (float(self.time[first]), float(self.time[last])), (first + 1, last + 1)
+        at = (counted, times) if rows else (None, None)
+        return LogFinding(ERROR if error else WARNING, problem, remedy, column, *at, aside)
 
 
 Found = Iterator[LogFinding]
@@ -178,12 +183,7 @@ CHECKS: dict[str, LogCheck] = {}
 
 def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[Find], Find]:
     """Enter a check into the registry; see `LogCheck`, and the names in `unless` are separated by commas."""
-
-    def enter(find: Find) -> Find:
-        CHECKS[name] = LogCheck(find, needs, rows, tuple(unless.split(", ")))
-        return find
-
-    return enter
+    return lambda find: CHECKS.setdefault(name, LogCheck(find, needs, rows, tuple(unless.split(", ")))).find
 
 
 def examine(log: Rollout) -> tuple[LogFinding, ...]:

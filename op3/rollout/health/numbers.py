@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import delayed, runs
 from op3.rollout.keys import COMMAND, CURRENT, FORCE, LOAD, ORIENTATION, POSITION, RATE, TEMPERATURE, VELOCITY, VOLTAGE
+from op3.rollout.match import delayed, runs
 from op3.rollout.schema import CHANNELS, Key
 from op3.rollout.units import UNITS
 

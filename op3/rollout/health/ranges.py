@@ -6,10 +6,10 @@ import numpy as np
 
 from op3.robot.robot import Robot
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import GIVES, SURE, fitted
 from op3.rollout.health.numbers import TURN, are_radians
 from op3.rollout.health.tracking_faults import exchanged
 from op3.rollout.keys import COMMAND, CURRENT, P_GAIN, POSITION, VELOCITY
+from op3.rollout.match import GIVES, SURE, fitted
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 from op3.rollout.units import likely_unit

@@ -7,8 +7,8 @@ import numpy as np
 from op3.robot.servo_make import load_servo, servo_files
 from op3.rollout.errors import LogError, rename
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import fitted
 from op3.rollout.keys import D_GAIN, FIRMWARE_GAIN, P_GAIN, TEMPERATURE, VOLTAGE
+from op3.rollout.match import OVERLAP, fitted
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
@@ -93,7 +93,7 @@ def weight(view: View) -> Found:
     torque, span = view.stiffness[0] * np.clip(-view.error[:, 0], -most, most), view.windows[2]
     used = view.turned(np.cumsum(~view.driven[:, 0])) == 0
     mean = view.summed(np.stack([torque, np.sin(angle), speed, np.tanh(speed / 0.2)], axis=1))[used] / span
-    if len(mean) < 20:
+    if len(mean) < 10 * OVERLAP:
         return
     # what it weighs goes with the angle, damping with the speed, friction with its direction, and inertia
     causes = np.column_stack([mean[:, 1:], view.turned(speed)[used]])
@@ -132,19 +132,16 @@ def gains(view: View) -> Found:
 @check("supply and temperature")
 def supply(view: View) -> Found:
     """Voltage is far from the battery's, or a temperature is none of a servo that works."""
-    servos, bench, shares = view.log.servos, view.metadata.mount == "pendulum", dict[str, float]()
-    volts, battery = view.get(VOLTAGE), view.metadata.battery or 0.0
+    servos, battery, shares = view.log.servos, view.metadata.battery or 0.0, dict[str, float]()
     makes = {make.name: make for make in (view.make, *servos) if make is not None}
     for make in makes.values() if len(makes) == 1 else ():
-        median = 0.0 if volts is None else float(np.median(volts))
-        read = median if 1 < median < 60 else battery if bench else 0.0
-        low, high = make.limits.low_voltage.si, make.limits.high_voltage.si
-        if read and not low / _FULL < read < high * _FULL:
+        read, low, high = view.supply(0) or 0.0, make.limits.low_voltage.si, make.limits.high_voltage.si
+        if 1 < read < 60 and not low / _FULL < read < high * _FULL:
             problem = f"the supply is {read:.3g} V, but the file of the {make.name} is valid from {low:g} to "
             problem += f"{high:g} V: it is another variant of the {make.name}, with another motor and gear"
             remedy = f"write its own make or file under `servo:`; the constants of {make.name} are wrong for it"
             yield view.found("field servo", problem, remedy)
-    if any(servos) and not bench:  # a small servo has a converter of its own
+    if any(servos) and view.metadata.mount != "pendulum":  # a small servo has a converter of its own
         known = view.log.named_robot
         shares = dict(zip(known.joints, known.supply_shares.tolist(), strict=True))
     for key, joint, column in view.columns(VOLTAGE):

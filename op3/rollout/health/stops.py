@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import detrend
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
 from op3.rollout.keys import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, TEMPERATURE, VELOCITY, VOLTAGE
+from op3.rollout.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 
@@ -25,6 +25,7 @@ _FAR, _TIMES = 0.1, 3.0  # a joint that lets go is so far beyond these [rad], an
 _CARRIED = 2.5  # if its range of motion on the way there is so many times that distance, it only yields to its load
 _WITHIN, _PULLS, _SPEEDS = 0.1, 0.15, 0.25  # a driven joint comes nearer by so much of it, or of its fastest, in [s]
 
+_RELATED = "position against command, two clocks"
 _LEAVE = "remove this time span, and check the servo's supply, its errors and torque_enable"
 
 
@@ -54,9 +55,7 @@ def saturated(view: View) -> Found:
 @check("stuck value", rows=21)
 def stands_still(view: View) -> Found:
     """A channel keeps one number while the joint moves, or a position while its command travels far."""
-    rows = round(0.2 / view.interval)
-    if not rows:
-        return
+    rows = max(1, round(0.2 / view.interval))
     yield from _sensors_stand(view, rows)
     for joint, (first, last, moved) in commands_stop(view).items():
         problem = f"the target does not change for {last - first} rows, while the joint moves on by {moved:.3g} rad"
@@ -109,8 +108,8 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
     # a velocity may rightly keep a number while the joint is slower than its step
     if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
         problem = f"velocity stays at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
-        where = VELOCITY, joint
-        yield view.found(where, f"{problem}{fastest:.3g} rad/s", _REPAIR, first, first + length, aside=True)
+        problem += f"{fastest:.3g} rad/s"
+        yield view.found((VELOCITY, joint), problem, _REPAIR, first, first + length, aside=True)
 
 
 def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
@@ -185,19 +184,16 @@ def held(view: View) -> bool:
 
 
 def turned_by_gyroscope(view: View) -> np.ndarray:
-    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings.
-
-    The bias is the median: the mean of a robot that falls in the end is its fall.
-    """
-    rates = view.get(RATE)
-    if rates is None:
+    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings."""
+    if RATE not in view.log:
         return np.zeros((len(view.time), 3))
-    rates = rates.copy()
+    rates = view.log.array(RATE).copy()
     rates[1:-1] = np.median([rates[:-2], rates[1:-1], rates[2:]], axis=0)
+    # the bias is the median: the mean of a robot that falls in the end is its fall
     return integral(view.time, rates - np.median(rates, axis=0))
 
 
-@check("torque lost", rows=50, unless="position against command, two clocks, time jumps, stale readings")
+@check("torque lost", rows=50, unless=f"{_RELATED}, time jumps, stale readings")
 def lets_go(view: View) -> Found:
     """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
     not pulled towards them, much further off than at other times. Without a current it is not reported within 0.1 rad
@@ -206,9 +202,8 @@ def lets_go(view: View) -> Found:
         return
     reported = {*commands_stop(view)}
     for key, values, gain in view.drives:
-        asked = np.zeros((0, 0)) if gain is None else -gain * view.error
-        for joint in range(asked.shape[1]):
-            law = np.column_stack([asked[:, joint], view.speed[:, joint]])
+        for joint in range(len(view.joints)) if gain is not None else ():
+            law = np.column_stack([-gain[:, joint] * view.error[:, joint], view.speed[:, joint]])
             on, given = view.driven[:, joint], values[:, joint]
             wanted = law @ fitted(law[on], given[on])
             for first, last in _without(given, wanted, on, view.interval):
@@ -242,7 +237,9 @@ def _astray(view: View, reported: set[int]) -> Found:
     most_shaken = len(view.joints) / 2 if view.metadata.mount in HOLDING else 1
     for recent in _RECENT:
         past = max(1, round(recent / period))
-        (least, most), (switched, _) = _recent(target, past), _recent(driven, past)
+        before = {"size": past + 1, "axis": 0, "mode": "nearest", "origin": past // 2}  # a row, and so many before it
+        least, most = minimum_filter1d(target, **before), maximum_filter1d(target, **before)
+        switched = minimum_filter1d(driven.astype(np.int8), **before) == 1
         # another zero is another check's
         mean = angle - np.nanmedian(np.where(switched | ~switched.any(0), angle - target, np.nan), axis=0)
         off = np.where(switched, mean - np.clip(mean, least, most), 0.0)
@@ -261,12 +258,6 @@ def _astray(view: View, reported: set[int]) -> Found:
                 problem += "its torque was off, or it was blocked"
                 last = min((end - 1) * stride, len(view.time) - 1)
                 yield view.found((POSITION, joint), problem, _LEAVE, first * stride, last)
-
-
-def _recent(values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest of a row's values and those of so many rows before [row, joint]."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, ((rows, 0), (0, 0)), "edge"), rows + 1, axis=0)
-    return windows.min(-1), windows.max(-1)
 
 
 def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: float, past: int) -> tuple[list, float]:
@@ -288,9 +279,7 @@ def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: floa
     return [time[:3] for time in found if time[2] > _TIMES * usual and time[3] < _CARRIED * time[2]], usual
 
 
-@check(
-    "position without its command", unless="position against command, lost turns, two clocks, stuck value, torque lost"
-)
+@check("position without its command", unless=f"{_RELATED}, lost turns, stuck value, torque lost")
 def unrelated(view: View) -> Found:
     """A position does not follow its command at any delay: it is another joint's or recording's, or the
     command is a torque. Not on its feet, where the weight moves soft joints against their commands."""

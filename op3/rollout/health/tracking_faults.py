@@ -7,8 +7,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.health.match import SURE, delays, match
 from op3.rollout.keys import COMMAND, POSITION
+from op3.rollout.match import SURE, delays, match
 from op3.rollout.metadata import HOLDING
 from op3.rollout.units import UNITS, likely_unit
 
@@ -65,7 +65,7 @@ def command(view: View) -> Found:
     alone = (asked <= 0.05) & (moved < 0.5 * asked)[leader] & (moved > 0.5 * asked[leader])
     swapped = follows & ((np.bincount(circle)[circle] > 1) | alone)
     steps = [match(angle[n:] - angle[:-n], target[:-n]) for n in lags if n and driven.all()]
-    change = np.max([np.diagonal(m.correlation) for m in steps], axis=0) if steps else np.zeros(len(itself))
+    change = np.max([m.own for m in steps], axis=0) if steps else np.zeros(len(itself))
     relative = (asked > 1e-3) & (moved > 0.05) & (target.std(0) < 0.6 * angle.std(0))
     relative &= (change > SURE) & (1 - change < 0.3 * (1 - itself))
     for joint in np.flatnonzero(relative):
@@ -111,10 +111,10 @@ def _unit(view: View, joint: int, ratio: float) -> str | None:
     A soft servo moves less than its command, but its velocity says how far, and so do the steps of its encoder. The
     position moves `ratio` times as far as its command.
     """
-    causes = [("it", unit, size) for unit, size in UNITS["rad"].items() if _SOFT < ratio * size < _MORE]
-    causes += [("the command", unit, size) for unit, size in UNITS["rad"].items() if _SOFT < ratio / size < _MORE]
+    sizes = [(who, unit, size) for who in ("it", "the command") for unit, size in UNITS["rad"].items()]
+    causes = [c for c in sizes if _SOFT < (ratio * c[2] if c[0] == "it" else ratio / c[2]) < _MORE]
     step, fit = float(view.steps(POSITION)[joint]), view.rates
-    if fit is not None and fit.correlation[joint, joint] > SURE:
+    if fit is not None and fit.own[joint] > SURE:
         speed = fit.ratio[joint, joint]
         causes = [cause for cause in causes if abs(np.log(speed / (cause[2] if cause[0] == "it" else 1.0))) < 0.1]
     if sum(who == "it" for who, *_ in causes) > 1 and step:

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from op3.rollout.errors import LogError
+from op3.rollout.finding import WARNING, LogFinding
 from op3.rollout.guess import guess_all
-from op3.rollout.health.finding import WARNING, LogFinding
 from op3.rollout.readers.npz import columns_of
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 

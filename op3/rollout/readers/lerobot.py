@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from op3.rollout.errors import LogError
+from op3.rollout.finding import ERROR, WARNING, LogFinding
 from op3.rollout.guess import guess, guess_all
-from op3.rollout.health.finding import ERROR, WARNING, LogFinding
-from op3.rollout.health.match import step
+from op3.rollout.match import step
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
 from op3.rollout.units import canonical

@@ -18,7 +18,7 @@ import numpy as np
 
 from op3.common.settings import Number, settings
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import LogFinding
+from op3.rollout.finding import LogFinding
 from op3.rollout.rollout import Rollout
 
 

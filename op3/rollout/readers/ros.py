@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from op3.rollout.errors import LogError
-from op3.rollout.health.finding import WARNING, LogFinding
+from op3.rollout.finding import WARNING, LogFinding
 from op3.rollout.readers.reader import Recording, Stream, needed
 from op3.rollout.validate import INSTANT
 

@@ -67,7 +67,7 @@ def as_if(*readings: tuple[str, float, str], tolerance: float = 0.05) -> str:
     return next((f", as if {who} were in {unit}" for who, unit in units if unit), "")
 
 
-def no_sensor(ratio: float | None) -> bool:
+def is_unit(ratio: float | None) -> bool:
     """Whether a factor between two rates is a unit or a sign, and not a filter or a rough sensor."""
     return ratio is not None and (ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None)
 
