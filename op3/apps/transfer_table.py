@@ -36,6 +36,6 @@ def main(cfg: DictConfig) -> CommandResult | None:
     cells = read_cells(folder.parent)
     if not cells:
         return None
-    succeeded = sum(cell.success for cell in cells)
+    succeeded = sum(bool(cell["success"]) for cell in cells)
     files = tuple(write_table(cells, folder.parent))
     return CommandResult(folder.parent, f"{succeeded} of {len(cells)} transfers succeed.", files=files)

@@ -27,8 +27,6 @@ def draw_level_set(
     Returns:
         Points of the unit box, ``[point, parameter]``.
     """
-    if not allowed > 0:
-        raise ValueError(f"the rise of the loss must be positive, got {allowed}")
     # directions as long as the set, else the walk creeps along a long ellipsoid
     curvature, axes = np.linalg.eigh(hessian)
     lengths = np.minimum(1.0, np.sqrt(allowed / np.maximum(curvature, 1e-12)))

@@ -107,16 +107,15 @@ def _entry(name: str, members: Sequence[ComparedRun], columns: Mapping[str, str]
     return {
         "variant": name,
         "runs": [run.name for run in members],
-        **{key: mean_and_deviation([run.numbers.get(key) for run in members]) for key in columns},
         **{
-            key: mean_and_deviation([_value(run.numbers[key]) for run in members if key in run.numbers])
-            for key in parameters
+            key: mean_and_deviation([_value(run.numbers.get(key)) for run in members])
+            for key in (*columns, *parameters)
         },
     }
 
 
-def _value(estimate: Any) -> float:
-    return float(estimate["value"]) if isinstance(estimate, Mapping) else float(estimate)
+def _value(estimate: Any) -> float | None:
+    return estimate["value"] if isinstance(estimate, Mapping) else estimate
 
 
 def _cells(found: Mapping[str, Any] | None) -> list[Cell]:

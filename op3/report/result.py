@@ -32,7 +32,7 @@ def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[
         meanings: what further first parts of keys stand for, written as comments.
 
     Raises:
-        ValueError: if a number is not finite, a key appears twice, or a value is no plain data; names the key.
+        ValueError: if a number is not finite or a value is no plain data; names the key.
     """
     path = Path(path)
     known = {**NAMES["meanings"]["every"], **(meanings or {})}
@@ -51,15 +51,8 @@ def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[
 
 
 def read_result(path: str | Path) -> dict[str, Any]:
-    """Read results back, by dotted key.
-
-    Raises:
-        ValueError: if the file is not a mapping.
-    """
-    content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: not a mapping of results; write it with write_result")
-    return content
+    """Read results back, by dotted key."""
+    return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)
@@ -122,24 +115,15 @@ def finite(value: float) -> float | None:
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Results by dotted key, as plain data.
-
-    Raises:
-        ValueError: as `write_result`.
-    """
+    """Results by dotted key, as plain data."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
-        if not isinstance(name, str) or not name.strip(".") or "\n" in name:
-            raise ValueError(f"result key {prefix}{name!r}: give a text such as loss.fit")
         key = prefix + name
         if isinstance(value, Estimate):
             joints = {"joints": dict(value.joints)} if value.joints else {}
             value = {"value": value.value, "low": value.low, "high": value.high, **joints}
         nested = isinstance(value, Mapping) and "value" not in value
-        found = flatten(value, key + ".") if nested else {key: _plain(key, value)}
-        if twice := flat.keys() & found.keys():
-            raise ValueError(f"result key {min(twice)} is given twice, nested and dotted; leave one out")
-        flat |= found
+        flat |= flatten(value, key + ".") if nested else {key: _plain(key, value)}
     return flat
 
 

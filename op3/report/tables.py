@@ -103,10 +103,7 @@ def place_in_range(known: Parameter, value: float) -> float:
 
 
 def parameter_table(
-    models: Mapping[str, RobotModel],
-    names: Sequence[str] = (),
-    bounds: Bounds | None = None,
-    starts: Mapping[str, float] | None = None,
+    models: Mapping[str, RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
 ) -> TableRows:
     """Parameters with unit, range and start of the search, and per model the value with its 90 % interval.
 
@@ -114,7 +111,6 @@ def parameter_table(
 
     Args:
         models: by label.
-        names: parameters to list; all of the models where empty.
         bounds: ranges to list, by name, where they are not the catalogue's.
         starts: values that the search started from, by name, where they are not the catalogue's.
     """
@@ -125,8 +121,8 @@ def parameter_table(
         header += [label, "90 % from", "to"] if intervals[label] else [label]
     rows: list[list[Cell]] = []
     remarks = []
-    for name in names or known:
-        p, ended = known[name], []
+    for name, p in known.items():
+        ended = []
         row: list[Cell] = [words(name), unit_text(p.unit), p.low, p.high, p.nominal]
         for label, model in models.items():
             estimate = model.estimate(name) if split_name(name)[0] in model.parameters() else None

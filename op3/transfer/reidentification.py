@@ -100,7 +100,6 @@ class Reidentification:
         repeats: episodes of each candidate, K in the paper.
         race: whether a candidate whose first episodes promise nothing is spared the others; else all play all.
         processes: processes that share the simulations of a population; 0 for all processors.
-        joints: focusing joints of the excitation loss; those of a log where it has others.
 
     Raises:
         ValueError: if the model has no such parameter, or cannot be simulated.
@@ -120,7 +119,6 @@ class Reidentification:
         race: bool = True,
         seed: int = 0,
         processes: int = 1,
-        joints: Sequence[str] | None = None,
     ):
         if not episodes:
             raise ValueError("episodes: re-identification needs at least one episode of the policy on the robot")
@@ -136,7 +134,7 @@ class Reidentification:
         what = {
             "model": model,
             "excitation": list(excitation),
-            "joints": episodes[0].robot.controlled if joints is None else tuple(joints),
+            "joints": episodes[0].robot.controlled,
             "policy": policy,
             "task": self.task,
             "repeats": repeats,

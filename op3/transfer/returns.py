@@ -1,9 +1,10 @@
 """Returns under R_eval of one policy on many candidate models at once, without recording the episodes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from math import ceil
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -30,12 +31,10 @@ class Returns:
 
     Attributes:
         returns: R_eval summed over the steps of an episode, ``[candidate, episode]``; NaN where the simulation failed.
-        steps: policy steps of the episode, ``[candidate, episode]``.
         fallen: whether it ended in a fall, ``[candidate, episode]``.
     """
 
     returns: Tensor
-    steps: Tensor
     fallen: Tensor
 
 
@@ -71,7 +70,6 @@ class ReturnsBench:
         self,
         parameters: Mapping[str, Tensor] | None = None,
         candidates: int = 1,
-        progress: Callable[[float], None] | None = None,
         episodes: Sequence[int] | None = None,
     ) -> Returns:
         """The returns of all candidates.
@@ -79,38 +77,44 @@ class ReturnsBench:
         Args:
             parameters: shared values by name, ``[candidate]``; joints that have values of their own go along
                 (`RobotModel.for_joints`).
-            progress: called with the share of episodes done.
             episodes: numbers of the episodes that are played; None: all of them, 0 to the bench's number of them.
         """
         numbers = range(self.episodes) if episodes is None else episodes
-        given = {name: torch.as_tensor(v, dtype=torch.float64) for name, v in (parameters or {}).items()}
-        parameters = {
-            name: self.model.for_joints(name, value, load_robot(self.task.robot).joints)
-            for name, value in given.items()
+        joints = load_robot(self.task.robot).joints
+        values = {
+            name: self.model.for_joints(name, torch.as_tensor(value, dtype=torch.float64), joints)
+            for name, value in (parameters or {}).items()
         }
         total = candidates * len(numbers)
         env = self._environment(_rows(total))
-        tally = _Tally(env, self.task, total)
-        waiting = iter(range(total))
-        first = list(islice(waiting, env.num_envs))
-        state = self._place(env, tally, torch.arange(len(first)), first, parameters, numbers)
+        tally, waiting = _Tally(env, self.task, total), iter(range(total))
+
+        def place(rows: Tensor, state: TensorDictBase | None = None) -> Any:
+            """Give rows the next episodes, while there are any; returns the state of all rows."""
+            jobs = list(islice(waiting, len(rows)))
+            if not jobs:
+                return state
+            rows = rows[: len(jobs)]
+            tally.jobs[rows], tally.running[rows] = torch.tensor(jobs), True
+            if values:
+                candidate = tally.jobs.clamp(min=0) // len(numbers)
+                env.set_parameters({name: value[candidate] for name, value in values.items()})
+            return env.begin({int(row): numbers[job % len(numbers)] for row, job in zip(rows, jobs, strict=True)})
+
+        state = place(torch.arange(env.num_envs))
         while tally.running.any():
             before = env.snapshot()
             action = self.policy.act(state["observation"]).clamp(-1.0, 1.0)
             state["action"] = action.float()
             state = env.step(state)["next"]
             self.simulated_seconds += POLICY_PERIOD * int(tally.running.sum())
-            tally.note(before, action, state)
+            tally.note(before, action)
             done = (state["done"][:, 0] & tally.running).nonzero()[:, 0]
             if len(done):
                 tally.finish(done, env.snapshot(), state)
-                jobs = list(islice(waiting, len(done)))
-                if jobs:
-                    state = self._place(env, tally, done[: len(jobs)], jobs, parameters, numbers)
-                if progress is not None:
-                    progress(1.0 - (len(jobs) + int(tally.running.sum())) / total if not jobs else jobs[-1] / total)
+                state = place(done, state)
         shape = (candidates, len(numbers))
-        return Returns(tally.returns.view(shape), tally.steps.view(shape), tally.fallen.view(shape))
+        return Returns(tally.returns.view(shape), tally.fallen.view(shape))
 
     def _environment(self, rows: int) -> BatchedEnv:
         if self._env is None or self._env.num_envs != rows:
@@ -123,23 +127,6 @@ class ReturnsBench:
                 num_threads=self._num_threads,
             )
         return self._env
-
-    def _place(
-        self,
-        env: BatchedEnv,
-        tally: "_Tally",
-        rows: Tensor,
-        jobs: list[int],
-        parameters: Mapping[str, Tensor],
-        numbers: Sequence[int],
-    ) -> TensorDictBase:
-        """Give rows the next episodes; returns the state of all rows."""
-        tally.jobs[rows] = torch.tensor(jobs)
-        tally.running[rows] = True
-        candidate = tally.jobs.clamp(min=0) // len(numbers)
-        if parameters:
-            env.set_parameters({name: values[candidate] for name, values in parameters.items()})
-        return env.begin({int(row): numbers[job % len(numbers)] for row, job in zip(rows, jobs, strict=True)})
 
 
 def _rows(total: int) -> int:
@@ -159,10 +146,9 @@ class _Tally:
         self._previous = torch.zeros(count, env.action_map.size, dtype=torch.float64)
         self._start, self._reached = torch.zeros(count, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)
         self.returns = torch.full((total,), torch.nan, dtype=torch.float64)
-        self.steps = torch.zeros(total, dtype=torch.int64)
         self.fallen = torch.zeros(total, dtype=torch.bool)
 
-    def note(self, before: Snapshot, action: Tensor, state: TensorDictBase) -> None:
+    def note(self, before: Snapshot, action: Tensor) -> None:
         """A step has been taken; it is judged by the sensors at its beginning, as a log of the robot would be."""
         fresh = (self._steps == 0)[:, None]
         action = action.double()
@@ -188,7 +174,6 @@ class _Tally:
             total = total + self._steps[rows] * travel_term(self._task, speed)
         failed = self._env.simulation.failed[rows]
         self.returns[jobs] = torch.where(failed, torch.nan, total)
-        self.steps[jobs] = self._steps[rows]
         self.fallen[jobs] = state["terminated"][rows, 0]
         self._steps[rows] = 0
         self.running[rows] = False
