@@ -40,7 +40,6 @@ class BackDrive:
     Attributes:
         break_away: torque at which the joint moves [N m]; NaN where it never does.
         slope: further torque per further angle [N m/rad]; NaN where the joint hardly moves.
-        joints: names of the controlled ones.
     """
 
     break_away: Array

@@ -66,7 +66,6 @@ class Measured:
     """What was found about one policy.
 
     Attributes:
-        label: of the policy.
         passed: by ground.
         landings: on the flat floor.
         survival: of pushes.

@@ -41,7 +41,6 @@ class Energy:
         cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
         current: root mean square of each motor's current, [joint] in A.
         temperature: of each after an hour like this [C], [joint].
-        joints: names.
         drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where they
             may be extrapolated to an hour.
         continuous: continuous current rating of the weakest servo [A].

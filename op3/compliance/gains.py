@@ -46,7 +46,6 @@ class Gains:
         softening: mean over the joints of support minus swing by contact, with its interval, [3] in A/rad.
         landing: the same of the 100 ms after touchdown minus swing, [3] in A/rad.
         stiffness: torque at the output per gain, ``[joint]`` in N m/A: what makes a stiffness of a gain.
-        joints: names of the controlled ones.
     """
 
     phase: Array

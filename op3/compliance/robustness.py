@@ -149,7 +149,6 @@ def make_card(
     """Measure what a card says.
 
     Args:
-        actor: a policy bundle.
         model_name: of the model, for the card.
         variations: by name; the robot as it is comes first by itself.
         made: command, commit and date, for the card.

@@ -85,8 +85,6 @@ def information(
 
     Args:
         model: effects that are on, and the values around which the motions are judged.
-        motion: what is played.
-        mount: where.
         bounds: range by parameter name.
         joints: whose traces count; all where empty.
 

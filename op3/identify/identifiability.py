@@ -30,7 +30,6 @@ class Identifiability:
     The combination with direction v and singular value s is known to 1 / s of the ranges (one standard deviation).
 
     Attributes:
-        names: of the parameters.
         noise: scale of the noise by channel, in the channel's weighted residual.
         singular_values: largest first.
         directions: ``[combination, parameter]``, of length one.

@@ -22,13 +22,7 @@ LENGTHENED = 2
 
 @dataclass(frozen=True, eq=False)
 class Polished:
-    """Where the steps ended.
-
-    Attributes:
-        values: by parameter name.
-        history: squared length of the residual before, and after every step.
-        sensitivity: around that point.
-    """
+    """Where the steps ended, the residual's squared length before and after every step, and sensitivities there."""
 
     values: Mapping[str, float]
     history: Sequence[float]

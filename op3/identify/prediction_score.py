@@ -48,14 +48,12 @@ class PredictionScore:
     """How far open-loop predictions are from logs. Every error is an estimate with its 90 % interval.
 
     Attributes:
-        logs: by log.
         error_mrad: mean absolute joint position error, averaged over logs [mrad].
         paper_eq7: paper eq. (7) with unit weights, averaged over logs.
         channels: root mean square error by channel, in the channel's unit.
         joints: the same by channel and joint or axis.
         trajectories: position error by motion [mrad].
         clusters: what was drawn by the bootstrap: ``logs`` or ``blocks``.
-        predictions: one per log.
     """
 
     logs: Sequence[LogScore]

@@ -17,13 +17,7 @@ TRIES = 4
 
 @dataclass(frozen=True)
 class Refinement:
-    """Where least squares ended.
-
-    Attributes:
-        values: parameters by name, of the best start.
-        loss: squared length of the residual there.
-        history: best loss after every iteration, the first before any.
-    """
+    """Where least squares ended from the best start, and the best loss before and after every iteration."""
 
     values: Mapping[str, float]
     loss: float

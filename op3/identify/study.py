@@ -75,7 +75,6 @@ class StudySettings:
     Attributes:
         search_space: the parameters and their ranges, see `op3.identify.search_space`.
         sampler: name of the sampler, see `op3.identify.samplers`.
-        directions: of each objective.
         storage: see `op3.identify.storage`; None keeps the study in memory.
         n_trials: finished trials, complete or failed, of the whole study; each further worker may add two populations.
         population: trials that are evaluated together, by one job.

@@ -120,7 +120,6 @@ class Surrogate:
         scales: logarithms of the kernel's numbers to start from: inverse lengths, share of the Matern part, noise.
 
     Attributes:
-        points: as given.
         scales: as fitted, by marginal likelihood, ``[parameter + 2]``.
     """
 

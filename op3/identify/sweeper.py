@@ -64,7 +64,6 @@ def sweep_or_report(
     Args:
         cfg: the config that `@hydra.main` passes.
         evaluate: evaluates a population, see `op3.identify.study.Evaluate`.
-        report: makes the report of a finished study.
         propose: proposes the `hydra.sweeper.starts` trials that come first; they are kept in `starts.json`, so that a
             study that goes on begins with the same.
         identity: what the objectives depend on beside the parameters, see `op3.identify.study.run_study`.
@@ -116,13 +115,7 @@ def _kept_starts(
 
 
 class PopulationSweep:
-    """Runs one study for each cell of the command line's grid; settings are read from every cell's own config.
-
-    Args:
-        hydra_context: of the sweep.
-        task_function: of the command.
-        config: of the multirun.
-    """
+    """Runs one study for each cell of the command line's grid; settings are read from every cell's own config."""
 
     def __init__(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig):
         self._config: DictConfig = config

@@ -46,8 +46,6 @@ def ranges_figure(
     not have a parameter has no marker there.
 
     Args:
-        models: by label.
-        names: parameters to show.
         bounds: ranges to draw, by name, where they are not the catalogue's.
         starts: values that the search started from, by name, where they are not the catalogue's.
 

@@ -58,7 +58,6 @@ def draw_frames(
     """Draw states of a compiled scene, as pictures ``[frame, height, width, 3]``.
 
     Args:
-        model: the scene.
         qpos: ``[frame, nq]``; with overlays ``[robot, frame, nq]``, the first one solid.
         follow: whether the camera goes with the trunk of a robot that is free.
         size: height and width [pixel].

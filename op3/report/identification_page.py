@@ -30,9 +30,7 @@ def report_identification(
     """Publish an identified model, beside one without some effects where that was asked for.
 
     Args:
-        fit: the identified model.
         ablated: the same without some effects, for comparison.
-        run: where it is kept.
         wall_seconds: duration of the identification [s].
         ablated_seconds: duration of that for comparison [s].
         joints: joints to draw; all of a log where empty.

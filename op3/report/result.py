@@ -60,7 +60,6 @@ class RunFolder:
     """A run's folder, where its numbers come from, and how it is logged to wandb.
 
     Attributes:
-        path: of the folder.
         provenance: see `op3.report.run_provenance`; it stands on the page and in ``result.yaml``.
         config: settings, for wandb.
         wandb: how the run is logged.
@@ -85,9 +84,7 @@ def publish(
     """Write ``index.html`` and ``result.yaml``, and log the numbers to wandb.
 
     Args:
-        page: of the run.
         values: of ``result.yaml``; the page's headline, its key numbers and the provenance are added.
-        run: where it is kept.
         curve: numbers by step and name, for wandb; those that are not finite are left out.
 
     Returns:

@@ -44,7 +44,6 @@ class RunLogger:
     later. Runs of one sweep are a group, and each is named as its folder unless the settings name it.
 
     Args:
-        folder: of the run.
         config: plain settings of the run.
         wandb: mode, project, entity, tags and name; by default offline, or as WANDB_MODE says.
     """

@@ -110,7 +110,6 @@ def parameter_table(
     What was searched and ended at an end of its range is marked: that is not a value that the data gave.
 
     Args:
-        models: by label.
         bounds: ranges to list, by name, where they are not the catalogue's.
         starts: values that the search started from, by name, where they are not the catalogue's.
     """

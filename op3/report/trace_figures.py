@@ -96,7 +96,6 @@ def bench_figures(
     """The error of every run of a servo bench, and traces of some, from the best to the worst of the first label.
 
     Args:
-        logs: what was measured.
         predictions: by label, one per log.
         errors_mrad: by label, mean absolute position error of each run [mrad]; None where the simulation failed.
         heldout: whether each run was kept from the fit.

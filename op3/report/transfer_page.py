@@ -33,7 +33,6 @@ def report_transfers(
 
     Args:
         transfers: first attempt first.
-        learned: between them.
         run: where it is kept; links and videos are relative to it.
         asked: task, world, condition and budget.
         seconds: duration of every stage [s].

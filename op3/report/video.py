@@ -31,7 +31,6 @@ def film(
     Args:
         scene: in which the robot is; it is recompiled, because simulations leave out what only pictures show.
         qpos: the first three numbers are the trunk's place.
-        path: of the file to write.
         rate: frames per second [Hz].
         say: takes the reason where nothing can be drawn.
         follow: whether the camera goes with the trunk.
@@ -47,7 +46,6 @@ def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float, qu
     """Write pictures ``[height, width, 3]`` of even size; the file appears whole or not at all.
 
     Args:
-        pictures: in their order.
         path: ``.mp4`` (H.264), or ``.webp``, which a document shows as it shows pictures.
         rate: pictures per second [Hz].
         quality: of WebP, 0 to 100.
@@ -93,7 +91,6 @@ def states_of_log(log: Rollout, scene: Scene, rate: float) -> np.ndarray:
 
     Args:
         log: of one episode on the robot; joints that it lacks are drawn at home.
-        scene: that it happened on.
         rate: frames per second [Hz].
 
     Returns:

@@ -63,7 +63,6 @@ class Strip:
     """Plots of one joint over time, drawn once; `at` puts the cursor where the time is.
 
     Args:
-        tracks: whose.
         joint: which; `Tracks.joint` where None.
         size: height and width [pixel].
     """

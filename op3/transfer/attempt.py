@@ -22,7 +22,6 @@ class Transfer:
     """One policy, in the simulation that it was trained on and on the robot.
 
     Attributes:
-        policy: the bundle.
         model: that it was trained on.
         expected, actual: returns under R_eval in simulation and on the robot.
         upright: which of the robot's episodes went without a fall, the way to the end pose included.
