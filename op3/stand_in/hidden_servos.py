@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,10 +129,8 @@ class HiddenServos:
             return
         if effect.name == "voltage_sag":
             self.robot["hidden_resistance"] = effect.size
-        elif effect.name in _WRITERS:
-            values = _WRITERS[effect.name](self.servos, effect, rest + 0.24 * (effect.shape[0] - 0.5))
-            for name, value in values.items():
-                self.servos[name][where] = np.broadcast_to(value, len(joints))[where]
+        for name, value in _written(self.servos, effect, rest + 0.24 * (effect.shape[0] - 0.5)).items():
+            self.servos[name][where] = np.broadcast_to(value, len(joints))[where]
 
     @property
     def records(self) -> tuple[Records, Records, np.void]:
@@ -200,100 +197,76 @@ def _stall(make: ServoMake) -> float:
     return make.stall_torque()
 
 
-Writer = Callable[[Records, Hidden, Array], dict[str, Array | float]]
-
-
-def _more(name: str, servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    return {name: servos[name] + effect.size}
-
-
-def _scaled(name: str, servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    return {name: servos[name] * (1 + effect.size)}
-
-
-def _softer(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+def _softer(servos: Records, effect: Hidden) -> dict[str, Array | float]:
     """A bristle in series with a softer one, as much damped as before in proportion to the root of its stiffness."""
     stiffness = 1 / (1 / servos["stiffness"] + effect.size)
     damping = servos["damping"] * np.sqrt(stiffness / servos["stiffness"])
     return {"stiffness": stiffness, "damping": damping, "bristle_form": effect.variant}
 
 
-def _loose(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    gear = {"gear_stiffness": GEAR_STIFFNESS, "gear_damping": GEAR_DAMPING, "tooth_form": effect.variant}
-    return {**gear, "half_gap": effect.size}
-
-
-def _soft(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    """An elastic gear; with a gap beside it, both in one pair of teeth."""
-    return {"gear_stiffness": 1 / effect.size, "gear_damping": GEAR_DAMPING}
-
-
-def _ripple(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    """Of 12 to 40 periods a turn."""
-    periods = round(12 + 28 * effect.shape[0])
-    values: dict[str, Array | float] = {"cogging": effect.size, "cogging_periods": periods}
-    return {**values, "cogging_phase": 2 * np.pi * effect.shape[1], "cogging_form": effect.variant}
-
-
-def _vibration(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    """Of 7 to 15 Hz, whatever the joint does."""
-    frequency, phase = 7 + 8 * effect.shape[0], 2 * np.pi * effect.shape[1]
-    return {"vibration": effect.size, "vibration_frequency": frequency, "vibration_phase": phase}
-
-
-def _stop(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+def _stop(effect: Hidden, near: Array) -> dict[str, Array | float]:
     """Away from the pose in which the robot rests, to either side."""
     side = 1.0 if effect.shape[1] < 0.5 else -1.0
     edge = near - 0.24 * (effect.shape[0] - 0.5) + side * (0.12 + 0.12 * effect.shape[0])
     return {"stop": effect.size, "stop_side": side, "stop_edge": edge}
 
 
-def _with(name: str, further: dict[str, Callable[[Hidden, Array], Array | float]]) -> Writer:
-    return lambda servos, effect, near: {name: effect.size, **{key: of(effect, near) for key, of in further.items()}}
+def _written(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
+    """What an effect writes into the records of its servos; nothing for those of links, bus and world.
 
-
-def _near(effect: Hidden, near: Array) -> Array:
-    """An angle within 0.12 rad of the one about which the joint moves."""
-    return near
-
-
-def _form(effect: Hidden, near: Array) -> float:
-    return effect.variant
-
-
-def _phase(effect: Hidden, near: Array) -> float:
-    return effect.shape[0]
-
-
-_WRITERS: dict[str, Writer] = {
-    "coulomb": partial(_more, "coulomb"),
-    "viscous": partial(_more, "viscous"),
-    "current_offset": partial(_more, "current_offset"),
-    "torque_constant": partial(_scaled, "constant"),
-    "terminal_resistance": partial(_scaled, "resistance"),
-    "torque_constant_temperature": _with("magnet_fading", {}),
-    "quadratic_drag": _with("drag", {}),
-    "load_friction": _with("load_friction", {"load_friction_form": _form}),
-    "lugre": _softer,
-    "backlash": _loose,
-    "compliance": _soft,
-    "cogging": _ripple,
-    "cable_spring": _with("spring", {"spring_rest": _near, "spring_form": _form}),
-    "position_friction": _with("oval", {"oval_centre": _near, "oval_form": _form}),
-    "asymmetric_friction": _with("asymmetry", {}),
-    "friction_drift": _with("warm_loss", {"warm_form": _form}),
-    "current_lag": _with("late_time", {"late_stages": lambda effect, near: effect.variant + 1}),
-    "velocity_filter": _with("slower_time", {"slower_form": _form}),
-    "encoder_offset": _with("encoder_offset", {}),
-    "encoder_nonlinearity": _with(
-        "encoder_bend", {"encoder_form": _form, "encoder_phase": lambda effect, near: 2 * np.pi * effect.shape[0]}
-    ),
-    "vibration": _vibration,
-    "hard_stop": _stop,
-    "sticky_patch": _with("patch", {"patch_centre": _near}),
-    "creep": _with("creep", {"creep_rate": lambda effect, near: 1 / (0.8 + 1.5 * effect.shape[0])}),
-    "chipped_tooth": _with("chip", {"chip_phase": _phase}),
-    "ageing": _with("ageing", {}),
-    "dropout": _with("dropout", {}),
-}
-"""What each effect changes in the records of its servos."""
+    Args:
+        servos: parameters before it, records [joint].
+        near: an angle within 0.12 rad of the one about which each joint moves [joint] in rad.
+    """
+    size, form, shape = effect.size, effect.variant, effect.shape
+    match effect.name:
+        case "coulomb" | "viscous" | "current_offset":
+            return {effect.name: servos[effect.name] + size}
+        case "torque_constant":
+            return {"constant": servos["constant"] * (1 + size)}
+        case "terminal_resistance":
+            return {"resistance": servos["resistance"] * (1 + size)}
+        case "torque_constant_temperature":
+            return {"magnet_fading": size}
+        case "quadratic_drag":
+            return {"drag": size}
+        case "load_friction":
+            return {"load_friction": size, "load_friction_form": form}
+        case "lugre":
+            return _softer(servos, effect)
+        case "backlash":
+            gear = {"gear_stiffness": GEAR_STIFFNESS, "gear_damping": GEAR_DAMPING, "tooth_form": form}
+            return {**gear, "half_gap": size}
+        case "compliance":  # with a gap beside it, both in one pair of teeth
+            return {"gear_stiffness": 1 / size, "gear_damping": GEAR_DAMPING}
+        case "cogging":  # 12 to 40 periods a turn
+            periods, phase = round(12 + 28 * shape[0]), 2 * np.pi * shape[1]
+            return {"cogging": size, "cogging_periods": periods, "cogging_phase": phase, "cogging_form": form}
+        case "cable_spring":
+            return {"spring": size, "spring_rest": near, "spring_form": form}
+        case "position_friction":
+            return {"oval": size, "oval_centre": near, "oval_form": form}
+        case "asymmetric_friction":
+            return {"asymmetry": size}
+        case "friction_drift":
+            return {"warm_loss": size, "warm_form": form}
+        case "current_lag":
+            return {"late_time": size, "late_stages": form + 1}
+        case "velocity_filter":
+            return {"slower_time": size, "slower_form": form}
+        case "encoder_nonlinearity":
+            return {"encoder_bend": size, "encoder_form": form, "encoder_phase": 2 * np.pi * shape[0]}
+        case "vibration":  # 7 to 15 Hz, whatever the joint does
+            frequency, phase = 7 + 8 * shape[0], 2 * np.pi * shape[1]
+            return {"vibration": size, "vibration_frequency": frequency, "vibration_phase": phase}
+        case "hard_stop":
+            return _stop(effect, near)
+        case "sticky_patch":
+            return {"patch": size, "patch_centre": near}
+        case "creep":
+            return {"creep": size, "creep_rate": 1 / (0.8 + 1.5 * shape[0])}
+        case "chipped_tooth":
+            return {"chip": size, "chip_phase": shape[0]}
+        case "encoder_offset" | "ageing" | "dropout":
+            return {effect.name: size}
+    return {}
