@@ -6,9 +6,8 @@ from op3.deploy.exit_codes import ExitCode, Stop
 from op3.deploy.limits import Command, Limits
 from op3.deploy.phases import FollowMotion, HoldPose
 from op3.deploy.players import Player
-from op3.deploy.policy_runner import FollowPolicy, PolicyReplay, PolicyRunner, replay_policy
+from op3.deploy.policy_runner import FollowPolicy, PolicyRunner, replay_policy
 from op3.deploy.robot_state import Calibration, RobotState
-from op3.deploy.safety import Safety
 from op3.deploy.session import SessionOutcome
 
 __all__ = [
@@ -23,10 +22,8 @@ __all__ = [
     "Limits",
     "Plan",
     "Player",
-    "PolicyReplay",
     "PolicyRunner",
     "RobotState",
-    "Safety",
     "SessionOutcome",
     "Stop",
     "calibrate",

@@ -1,6 +1,6 @@
 """An emulated robot on a Dynamixel Protocol 2.0 bus, to the byte."""
 
-from op3.deploy.emulator.emulated_robot import USUAL_SETTINGS, EmulatedClock, EmulatedRobot
+from op3.deploy.emulator.emulated_robot import USUAL_SETTINGS, EmulatedRobot
 from op3.deploy.emulator.faults import (
     BrownOut,
     Faults,
@@ -19,7 +19,6 @@ from op3.deploy.emulator.sim_physics import SimPhysics
 __all__ = [
     "USUAL_SETTINGS",
     "BrownOut",
-    "EmulatedClock",
     "EmulatedRobot",
     "Faults",
     "Frame",
