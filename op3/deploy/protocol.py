@@ -9,13 +9,9 @@ Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from struct import unpack
-
-import numpy as np
 
 HEADER = b"\xff\xff\xfd\x00"
 """Header of every packet."""
@@ -65,27 +61,20 @@ class Error(IntEnum):
     ACCESS = 7
 
 
-def _crc_tables() -> tuple[list[int], array[int]]:
-    """What becomes of a register that holds one byte, or two, when as many bytes of zero follow."""
-    register = np.arange(65536, dtype=np.uint32)
-    halves = []
-    for _ in range(2):
-        for _ in range(8):
-            register = (register << 1 ^ np.where(register & 0x8000, 0x8005, 0)) & 0xFFFF
-        halves.append(register)
-    return halves[0][::256].tolist(), array("H", halves[1].tolist())
+def _after_a_byte(register: int) -> int:
+    """What becomes of a register of 16 bits when eight bits of zero follow."""
+    for _ in range(8):
+        register = (register << 1 ^ (0x8005 if register & 0x8000 else 0)) & 0xFFFF
+    return register
 
 
-_BY_BYTE, _BY_WORD = _crc_tables()
+_CRC = [_after_a_byte(byte << 8) for byte in range(256)]
 
 
 def crc16(data: bytes | bytearray, crc: int = 0) -> int:
     """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion; `crc` is that of bytes before."""
-    size, table = len(data), _BY_WORD
-    for word in unpack(f">{size >> 1}H", data[: size & ~1]):
-        crc = table[crc ^ word]
-    if size & 1:
-        crc = (crc << 8 & 0xFF00) ^ _BY_BYTE[crc >> 8 ^ data[-1]]
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
     return crc
 
 
