@@ -185,11 +185,8 @@ class Safety(Onlooker):
         Raises:
             Stop: if a servo does not take a value.
         """
-        try:
-            for register, value in ({"torque_enable": 0} | dict(values)).items():
-                self._set(register, value)
-        except BusError as error:
-            raise Stop(ExitCode.ENERGISE, str(error)) from error
+        for register, value in ({"torque_enable": 0} | dict(values)).items():
+            self._set(register, value)
 
     def energise(self) -> None:
         """Switch torque on, in the only order that is safe.
@@ -205,12 +202,9 @@ class Safety(Onlooker):
         peak = np.floor(self._limiter.limit).astype(int)
         current_limits = {name: int(value) for name, value in zip(self._joints, peak, strict=True)}
         self.write_settings({"bus_watchdog": 0, "operating_mode": CURRENT_MODE, "current_limit": current_limits})
-        try:
-            self._set("goal_current", 0, always=True)
-            self._set("torque_enable", 1)
-            self._set("bus_watchdog", WATCHDOG)
-        except BusError as error:
-            raise Stop(ExitCode.ENERGISE, str(error)) from error
+        self._set("goal_current", 0, always=True)
+        self._set("torque_enable", 1)
+        self._set("bus_watchdog", WATCHDOG)
         self._write_time = self.bus.clock.now()
         self._report("torque on, watchdog armed")
 
@@ -220,15 +214,18 @@ class Safety(Onlooker):
         EEPROM wears out, so a servo that has the value is left alone unless `always`.
         """
         wanted = dict.fromkeys(self._joints, values) if isinstance(values, int) else values
-        if always:
-            self._writer.sync_write(register, wanted)
-        for attempt in range(2 * ATTEMPTS + 1):
-            there = self.bus.sync_read(register)
-            wrong = {name: value for name, value in wanted.items() if there.get(name) != value}
-            if not wrong:
-                return
-            if attempt < 2 * ATTEMPTS:
-                self._writer.sync_write(register, wrong)
+        try:
+            if always:
+                self._writer.sync_write(register, wanted)
+            for attempt in range(2 * ATTEMPTS + 1):
+                there = self.bus.sync_read(register)
+                wrong = {name: value for name, value in wanted.items() if there.get(name) != value}
+                if not wrong:
+                    return
+                if attempt < 2 * ATTEMPTS:
+                    self._writer.sync_write(register, wrong)
+        except BusError as error:
+            raise Stop(ExitCode.ENERGISE, str(error)) from error
         what = ", ".join(f"{name} ({there.get(name, 'no answer')})" for name in wrong)
         raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
 

@@ -7,7 +7,7 @@ import pytest
 from deploy_rig import make_rig
 
 from op3.deploy import start_checks
-from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, LineTiming, Silent
+from op3.deploy.emulator import USUAL_SETTINGS, BrownOut, Faults, FrozenImu, LineTiming, Overheat, Silent
 from op3.deploy.exit_codes import ExitCode
 from op3.deploy.operator import Operator
 from op3.deploy.phases import GainRamp, HoldPose
@@ -33,10 +33,6 @@ def outside(robot):
 
 def overloaded(robot):
     robot.at(0.3, lambda: robot.servos["r_knee"].fail(HardwareError.OVERLOAD))
-
-
-def warm(robot):
-    robot._heat[SERVO_IDS["l_el"]] = (0.0, 80.0)
 
 
 FAILURES = {
@@ -67,7 +63,10 @@ FAILURES = {
         "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C",
     ),
     "min voltage": (put("l_el", "min_voltage_limit", 105), "servo limits: l_el 10.5 V: a servo would report an error"),
-    "warm": (dict(prepare=warm), r"temperature: \d+ C at l_el, the highest; let it cool"),
+    "warm": (
+        dict(faults=Faults(scheduled=(Overheat(SERVO_IDS["l_el"], 0.0, 80.0),))),
+        r"temperature: \d+ C at l_el, the highest; let it cool",
+    ),
     "silent": (dict(faults=Faults(scheduled=(Silent(14),))), r"ping: no answer from l_knee \(id 14\)"),
     "opencr": (dict(faults=Faults(scheduled=(Silent(200),))), r"servo power: opencr \(id 200\) did not answer"),
     "model": (put("l_el", "model_number", 1060), "l_el is model 1060, expected 1020"),

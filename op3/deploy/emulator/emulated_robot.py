@@ -29,7 +29,6 @@ from op3.deploy.emulator.physics import PERIOD, Physics
 from op3.deploy.emulator.servo import BOOT_TIME, WATCHDOG_ERROR, Servo
 from op3.deploy.protocol import BROADCAST_ID, Instruction, Packet
 from op3.deploy.registers import CURRENT_MODE, DYNAMIXEL_X, POSITION_ZERO, HardwareError, Units
-from op3.stand_in.sensors import Sensors
 
 USUAL_SETTINGS: dict[str, int] = {"baud_rate": 4, "return_delay_time": 0}
 """EEPROM values of a robot's servos that differ from factory values: 2 Mbit/s, no return delay."""
@@ -123,7 +122,7 @@ class EmulatedRobot:
         self._stale = self._board_stale = True
         self.unplugged = self._powered = False
         self._silent: dict[int, float] = {}
-        self._heat: dict[int, tuple[float, float]] = {}
+        self._heat = np.zeros((2, len(self._all)))  # when a servo began to heat up [s], and how fast [K/s]
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
@@ -185,7 +184,8 @@ class EmulatedRobot:
         self._heard = end
         answers = self._dispatcher.answers(packet, end)
         if self.open_cr.power != self._powered:
-            self._switch(self.open_cr.power)
+            self._powered = self.open_cr.power
+            self._power_servos(self._powered)
         return answers
 
     @property
@@ -205,11 +205,6 @@ class EmulatedRobot:
         bound = self._column("current_limit")
         return self._column("goal_current").clip(-bound, bound) * self._units.current
 
-    def _switch(self, on: bool) -> None:
-        """The OpenCR gives the servos power, or takes it away."""
-        self._powered = on
-        self._power_servos(on)
-
     def _power_servos(self, on: bool) -> None:
         for servo in self._all:
             servo.power(on, self.time)
@@ -217,7 +212,8 @@ class EmulatedRobot:
     def switch_on(self) -> None:
         """Give the servos power, as the robot's power button does, and let them boot."""
         self.open_cr.put("dynamixel_power", 1)
-        self._switch(True)
+        self._powered = True
+        self._power_servos(True)
         self.clock.sleep(2 * BOOT_TIME)
 
     def _last_heard(self, servo: Servo) -> float:
@@ -257,17 +253,10 @@ class EmulatedRobot:
         present["present_velocity"] = np.rint(readings.velocity / units.velocity)
         present["present_position"] = np.rint(readings.position / units.position) + zero
         present["present_input_voltage"] = np.rint(readings.voltage / units.voltage)
-        present["present_temperature"] = np.minimum(np.rint(self._temperature(readings)), 255)
+        begun, rate = self._heat
+        temperature = readings.temperature + rate * (self.time - begun)
+        present["present_temperature"] = np.minimum(np.rint(temperature), 255)
         self._memory[:, _FIRST:_LAST] = present.view(np.uint8).reshape(len(self._all), -1)
-
-    def _temperature(self, readings: Sensors) -> NDArray[np.float64]:
-        if not self._heat:
-            return readings.temperature
-        temperature = np.array(readings.temperature, dtype=float)
-        for servo in self._all:
-            start, rate = self._heat.get(servo.id, (0.0, 0.0))
-            temperature[servo.index] += rate * (self.time - start)
-        return temperature
 
     def _check_servos(self) -> None:
         """The servos watch their own voltage and temperature."""
@@ -299,7 +288,7 @@ class EmulatedRobot:
         elif isinstance(fault, FrozenImu):
             self.open_cr.frozen = True
         elif isinstance(fault, Overheat):
-            self._heat[fault.device] = (fault.start, fault.rate)
+            self._heat[:, [servo.id == fault.device for servo in self._all]] = [[fault.start], [fault.rate]]
         elif isinstance(fault, BrownOut):
             self.physics.supply = fault.voltage
             if fault.voltage < RESET_VOLTAGE:

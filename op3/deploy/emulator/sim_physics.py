@@ -111,8 +111,8 @@ class SimPhysics(BatchSimulation):
             joint_position = self.known.home
         self.reset(self.scene.initial_qpos(joint_position), {"torque_enable": torch.zeros(1, count)})
         self.law.sense()
-        self._tell_slow()
         self._resistance = self.parameters["terminal_resistance"][0].numpy()
+        self._step_slow()
         self._attitude = None
         if robot is not None and self.known.file.imu is not None:
             self._find_imu(robot)
@@ -181,9 +181,6 @@ class SimPhysics(BatchSimulation):
     def _step_slow(self) -> None:
         rise = self._thermal_resistance * self._resistance * self.signals.current[0].numpy() ** 2
         self._temperature += SLOW_EVERY * PERIOD / WARMING * (AMBIENT + rise - self._temperature)
-        self._tell_slow()
-
-    def _tell_slow(self) -> None:
         self._voltage = (self.model.bus_voltage if self.supply is None else self.supply) * self.known.supply_shares
         self.signals.bus_voltage = torch.from_numpy(self._voltage)
         self.signals.temperature = torch.from_numpy(self._temperature)
