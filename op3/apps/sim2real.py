@@ -305,7 +305,7 @@ def reidentified(
     counting, others = that_count(read_logs(failed.episodes))
     if not counting:
         learned.remarks.append(
-            f"Nothing was re-identified in round {number}: all episodes ended by {ended_by(others)}, which no"
+            f"Nothing was re-identified in round {number}: all episodes ended because of {ended_by(others)}, which no"
             " simulation of the policy reproduces."
         )
         return model
@@ -319,7 +319,7 @@ def reidentified(
 
 def what_is_done(cfg: DictConfig) -> str:
     """Task and robot, for readers of the page alone."""
-    robot = f"The robot is emulated: its truth, `{cfg.world}`, is hidden from identification and training."
+    robot = f"The robot is emulated; its parameters, `{cfg.world}`, are hidden from identification and training."
     return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 
 

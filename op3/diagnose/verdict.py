@@ -180,8 +180,8 @@ class Verdict:
             else ""
         )
         return (
-            f"Angle error after {self.windows.length:.2g} s in held-out runs: given model {1e3 * one.given:.2f} mrad,"
-            f" baseline fit {1e3 * one.baseline:.2f} mrad, returned model {1e3 * one.returned:.2f} mrad{floor}."
+            f"RMS angle error in {self.windows.length:.2g} s windows of held-out runs:"
+            f" given model {1e3 * one.given:.2f} mrad, baseline fit {1e3 * one.baseline:.2f} mrad, returned model {1e3 * one.returned:.2f} mrad{floor}."
             f"{worse}"
         )
 

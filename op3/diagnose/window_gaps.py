@@ -226,7 +226,7 @@ def _horizons(models: Sequence[RobotModel], logs: Sequence[Rollout], split: LogS
 def gap_table(gaps: WindowGaps) -> str:
     """Errors in three stages as lines of text: by channel, joint and horizon."""
     head = "".join(f"{name:>10}" for name in (*STAGES, "repeats"))
-    lines = [f"{f'error after {gaps.length:.2g} s':24}{head}"]
+    lines = [f"{f'RMS error, {gaps.length:.2g} s windows':24}{head}"]
 
     def line(label: str, one: StageGap) -> str:
         values = (one.given, one.baseline, one.returned, one.floor)
@@ -235,7 +235,7 @@ def gap_table(gaps: WindowGaps) -> str:
 
     lines += [line(name, one) for name, one in gaps.whole.items()]
     lines += [line(f"  position {joint}", of["position"]) for joint, of in gaps.joints.items()]
-    lines += [line(f"position after {length:g} s", one) for length, one in gaps.horizons.items()]
+    lines += [line(f"position, {length:g} s windows", one) for length, one in gaps.horizons.items()]
     return "\n".join(lines)
 
 

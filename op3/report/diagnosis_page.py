@@ -100,7 +100,7 @@ def _joints_figure(windows: WindowGaps) -> go.Figure:
     floors = {joint: of["position"].floor for joint, of in windows.joints.items()}
     if all(floor is not None for floor in floors.values()):
         bars["repeats"] = {joint: 1e3 * (floor or 0.0) for joint, floor in floors.items()}
-    return bars_figure(bars, f"error of the angle after {windows.length:.2g} s [mrad]")
+    return bars_figure(bars, f"angle error in windows of {windows.length:.2g} s, RMS [mrad]")
 
 
 def _residuals_figure(predictions: Mapping[str, Prediction], joint: str) -> go.Figure:

@@ -57,7 +57,7 @@ class Transfer:
         """What the criterion looks at, with its 95 % interval, and how many episodes fell."""
         span = f" ({self.span})" if self.span else ""
         if self.walked is not None:
-            said = f"{sum(self.walked)} of {len(self.walked)} episodes walk to their end{span}"
+            said = f"{sum(self.walked)} of {len(self.walked)} episodes walk until the end{span}"
         else:
             said = f"the robot reaches {100 * self.share:.0f} %{span} of the expected return"
         way = f", {self.afterwards} of them on the way to the end pose" if self.afterwards else ""

@@ -115,5 +115,5 @@ def test_a_plan_says_what_to_record_and_what_it_would_leave_open(tmp_path):
     report_design(steps, found, ["armature", "viscous_friction"], {"sway": "It falls."}, RunFolder(tmp_path, {}), 1.0)
     text = read(tmp_path)
     assert "Record squat: 5 s of robot time." in text
-    assert "The widest interval of the wanted parameters, armature, is then 40 % of its range." in text
+    assert "Afterwards, the widest expected interval, that of the armature, is 40 % of its range." in text
     assert "Left out: sway. It falls." in text

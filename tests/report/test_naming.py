@@ -29,7 +29,10 @@ def test_the_page_says_the_counts_first():
     page = naming_page([ROW], {"diagnosis": summary(3), "random name": summary(0)}, "Bench", "0f" * 32)
     html = page.html()
     assert PageReader(html).open == []
-    assert "3 of 4 clear single effects were named in their joints, and 1 of 2 sound robots got a name." in html
+    assert (
+        "3 of 4 clear single effects were named in their joints, and an effect was named in 1 of 2 sound robots."
+        in html
+    )
     assert "case_1" in html
     assert "0f" * 32 in html
 

@@ -61,8 +61,7 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     failed, good = transfer([250.0], [100.0], [False]), transfer([250.0], [240.0])
     text = told(tmp_path, [failed, good])
     share = "the robot reaches {} % of the expected return"
-    at_first = f"the policy succeeds: {share.format(96)}; at first, {share.format(40)}, and falls in 1 of 1 episodes."
-    assert at_first in text
+    assert f"the policy succeeds: {share.format(96)}. In the first transfer, {share.format(40)}, and falls in 1" in text
     assert "1 episodes decide instead of the paper" in text
     assert "Learned in round" not in text
     numbers = read_result(tmp_path / "result.yaml")
@@ -71,7 +70,7 @@ def test_the_story_begins_with_the_outcome(tmp_path):
     assert "The model needed no correction. Balancing. The robot is real." in first
     assert "The first transfer fails" in told(tmp_path, [failed], condition="excitation_only")
     walks = transfer([250.0], [240.0] * 10, [True] * 10, [True] * 7 + [False] * 3)
-    said = "The first transfer fails: 7 of 10 episodes walk to their end (95 %: 40 to 89 %)"
+    said = "The first transfer fails: 7 of 10 episodes walk until the end (95 %: 40 to 89 %)"
     assert said in told(tmp_path, [walks])
 
 
