@@ -87,8 +87,8 @@ class View:
                 stiffness[joint] = np.median(gain[:, joint]) * make.stiffness(self.supply(joint))
         return stiffness
 
-    def supply(self, joint: int) -> float | None:
-        """Usual voltage that a joint's servo measures, or that of its bench [V]; None where neither is known."""
+    def supply(self, joint: int | slice = slice(None)) -> float | None:
+        """Median voltage that a joint's servo measures, or all, or that of its bench [V]; None where it is unknown."""
         volts, bench = self.get(VOLTAGE), self.metadata.mount == "pendulum"
         measured = 0.0 if volts is None else float(np.median(volts[:, joint]))
         return measured or (self.metadata.battery if bench else None)
@@ -100,7 +100,7 @@ class View:
 
     @property
     def long(self) -> bool:
-        """Whether there are so many windows that what is alike in them means something."""
+        """Whether there are enough windows for their correlations to mean something."""
         return len(self.windows[0]) >= 4 * OVERLAP
 
     def turned(self, angles: np.ndarray) -> np.ndarray:

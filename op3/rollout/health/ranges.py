@@ -118,12 +118,11 @@ def coarse(view: View) -> Found:
     """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
     make, exact = view.make, view.position_unit
     counts = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
-    for key, usual in {POSITION: exact, **_ROUGHEST}.items():
-        steps = view.steps(key) if key in view.log else np.zeros(0)
+    for key, usual in ((key, usual) for key, usual in {POSITION: exact, **_ROUGHEST}.items() if key in view.log):
+        steps, most = view.steps(key), np.abs(view.log.array(key)).max(0)
         least = 0.008 if key == POSITION and make is None else 4 * usual
-        for joint in np.flatnonzero(steps):
-            if key != POSITION and np.abs(view.log.array(key)[:, joint]).max() > CHANNELS[key].quantity.bound:
-                continue  # in another unit, which its bound reports
+        # a rate or a current in another unit is reported by its bound
+        for joint in np.flatnonzero((steps > 0) & ((key == POSITION) | (most <= CHANNELS[key].quantity.bound))):
             unit = likely_unit(float(steps[joint] / exact), "rad", 0.003) if key == POSITION else None
             parts = float(steps[joint] / count) if (count := counts.get(key)) else 1.0
             whole = round(parts) if parts > 1 else 1 / round(1 / parts)

@@ -33,8 +33,7 @@ def plausible(view: View) -> Found:
             problem += f"; {value:g} {likely[0]} would be {likely[1]:.4g} {unit}"
             remedy = f"write {name}: {likely[1]:.4g}"
         yield view.found(f"field {name}", problem, remedy, error=True)
-    volts, battery = view.get(VOLTAGE), view.metadata.battery
-    median = 0.0 if volts is None else float(np.median(volts))
+    median, battery = view.supply() or 0.0, view.metadata.battery
     if battery and median > 2 and (unit := likely_unit(battery / median, "V", 0.3)):
         problem = f"{battery:g} V does not fit the measured {median:.4g} V; it looks like {unit}"
         yield view.found("field battery", problem, f"write battery: {median:.3g}", error=True)
@@ -100,7 +99,7 @@ def weight(view: View) -> Found:
     pushed = float(fitted(causes, mean[:, 0])[0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
     if np.ptp(mean[:, 1]) > 0.3 and not _WEIGHS[0] < pushed < _WEIGHS[1]:
         problem = f"the servo's torque is {pushed:.2g} times the weight of {about.mass:g} kg at {about.length:g} m, by "
-        gain, volts = np.median(view.log.array(FIRMWARE_GAIN)), view.supply(0) or make.supply.si
+        gain, volts = np.median(view.log.array(FIRMWARE_GAIN)), view.supply() or make.supply.si
         problem += f"its gain of {gain:g} at {volts:g} V"
         yield view.found("field mass", problem, "check mass, length, firmware_gain, battery and servo")
 
@@ -135,7 +134,7 @@ def supply(view: View) -> Found:
     servos, battery, shares = view.log.servos, view.metadata.battery or 0.0, dict[str, float]()
     makes = {make.name: make for make in (view.make, *servos) if make is not None}
     for make in makes.values() if len(makes) == 1 else ():
-        read, low, high = view.supply(0) or 0.0, make.limits.low_voltage.si, make.limits.high_voltage.si
+        read, low, high = view.supply() or 0.0, make.limits.low_voltage.si, make.limits.high_voltage.si
         if 1 < read < 60 and not low / _FULL < read < high * _FULL:
             problem = f"the supply is {read:.3g} V, but the file of the {make.name} is valid from {low:g} to "
             problem += f"{high:g} V: it is another variant of the {make.name}, with another motor and gear"

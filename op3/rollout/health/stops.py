@@ -141,9 +141,8 @@ def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead
     moving[stands] = dead
     joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
     command, error, driven = (table[moving][:, joints] for table in (view.command, view.error, view.driven))
-    if error.size < 20 or not driven.all():
-        return False
-    return bool(np.ptp(command, axis=0).max() > 0.7 * asked and asked > 1.5 * np.ptp(error, axis=0).max())
+    enough = error.size >= 20 and driven.all() and np.ptp(command, axis=0).max() > 0.7 * asked
+    return bool(enough and asked > 1.5 * np.ptp(error, axis=0).max())
 
 
 def _sensors_stand(view: View, rows: int) -> Found:

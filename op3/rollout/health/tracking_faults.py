@@ -71,12 +71,9 @@ def command(view: View) -> Found:
     for joint in np.flatnonzero(relative):
         problem = "the command is a relative movement, not a target position"
         yield view.found((COMMAND, joint), problem, "record the position plus the command as the target", error=wrong)
-
-    def late(joint: int) -> bool:
-        """Whether a command that comes after it explains a position better than its mirror image."""
-        most = min(51, len(angle) // 4)
-        return delays(target[:, joint], angle[:, joint], range(most)).max() > -own[:, joint].min()
-
+    ahead, columns = range(min(51, len(angle) // 4)), (angle.T, target.T, own.min(0))
+    # whether a command that comes after it explains a position better than its mirror image
+    late = [low < -0.7 and delays(t, a, ahead).max() > -low for a, t, low in zip(*columns, strict=True)]
     # of a motion that does not follow well; on the feet of a robot the weight may turn soft joints so
     against = (moved > 0.05) & (own[0] < -0.7) & (own[:6].max(0) < -0.3) & (view.metadata.mount in HOLDING)
     explained = {*circles, *np.flatnonzero(relative)}  # what else there is to say follows from that
@@ -91,10 +88,10 @@ def command(view: View) -> Found:
             remedy = "convert both to radians (a factor of 57.3 means degrees)" if unit else _GEAR
         elif moves and sure > 0.97 and ratio > _MORE:
             problem, remedy, error = f"the position moves {ratio:.3g} times as far as its command", _GEAR, False
-        elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late(joint):
+        elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late[joint]:
             problem, remedy = "the position moves against its command: one of the two signs is reversed", _SIGNS
             problem += f", or its column was swapped with that of {other}" if other else ""
-        elif moves and against[joint] and not late(joint):
+        elif moves and against[joint] and not late[joint]:
             problem, remedy = f"the position moves against its command (correlation {own[0, joint]:.2f})", _SIGNS
             error = False
         elif other:
