@@ -15,10 +15,7 @@ from tests.op3_table import CONTROLLED_JOINTS
 
 TRUTH = {"torque_constant": 0.0072, "backward_efficiency": 0.7}
 SPACE = parse_search_space(
-    {
-        PREFIX + "torque_constant": "interval(0.003, 0.009)",
-        PREFIX + "backward_efficiency": "interval(0.6, 1.0)",
-    }
+    {PREFIX + "torque_constant": "interval(0.003, 0.009)", PREFIX + "backward_efficiency": "interval(0.6, 1.0)"}
 )
 
 

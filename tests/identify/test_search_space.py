@@ -7,12 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from optuna.distributions import FloatDistribution
 
-from op3.identify.search_space import (
-    StudyError,
-    check_nominal,
-    parse_range,
-    parse_search_space,
-)
+from op3.identify.search_space import StudyError, check_nominal, parse_range, parse_search_space
 
 finite = st.floats(min_value=-1e12, max_value=1e12, allow_nan=False)
 
@@ -52,8 +47,6 @@ def test_any_text_is_a_range_or_one_sentence(text):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("interval(2, 1)", "not below"),
-        ("interval(1, 1)", "not below"),
         ("tag(log, interval(0, 1))", "above 0"),
         ("interval(nan, 1)", "finite"),
         ("interval(0, inf)", "finite"),
@@ -73,15 +66,10 @@ def test_a_wrong_range_says_which_key_and_what_to_write(text, reason):
     assert "servo.kt" in str(caught.value)
 
 
-def test_nested_params_mean_dotted_keys():
-    """`hydra.sweeper.params.servo.kt=...` on a command line makes a nested mapping."""
-    nested = parse_search_space({"servo": {"motor": {"kt": "interval(0, 1)"}}, "kp": "interval(0, 6)"})
+def test_nested_params_mean_dotted_keys_and_null_is_not_searched():
+    """`hydra.sweeper.params.servo.kt=...` makes a nested mapping; null takes a key out of the search of a config."""
+    nested = parse_search_space({"servo": {"motor": {"kt": "interval(0, 1)"}}, "kp": "interval(0, 6)", "kd": None})
     assert nested == {"servo.motor.kt": FloatDistribution(0, 1), "kp": FloatDistribution(0, 6)}
-
-
-def test_a_range_of_null_is_not_searched():
-    """A config takes a parameter out of the search of the config it builds on."""
-    assert list(parse_search_space({"kp": "interval(0, 6)", "kd": None})) == ["kp"]
 
 
 @pytest.mark.parametrize("params", [None, {}, {"servo": {}}, {"kp": None}])
@@ -96,13 +84,7 @@ def test_an_empty_search_space_is_refused(params):
     [({"kt": 2.0}, "outside"), ({}, "no nominal"), ({"kt": None}, "no nominal"), ({"kt": "big"}, "outside")],
 )
 def test_a_nominal_value_outside_its_range_is_refused(nominal, reason):
-    """The baseline must be a point of the search space."""
+    """The baseline must be a point of the search space, in which 1 is 1.0."""
     with pytest.raises(StudyError, match=reason):
         check_nominal({"kt": FloatDistribution(0, 1)}, nominal)
-
-
-def test_a_nominal_integer_becomes_real():
-    """`kt: 1` in a config is the same point as `kt: 1.0`."""
-    checked = check_nominal({"kt": FloatDistribution(0, 1)}, {"kt": 1, "other": 3})
-    assert checked == {"kt": 1.0}
-    assert isinstance(checked["kt"], float)
+    assert check_nominal({"kt": FloatDistribution(0, 1)}, {"kt": 1, "other": 3}) == {"kt": 1.0}

@@ -64,13 +64,6 @@ def test_jobs_of_one_sweep_share_the_group(tmp_path):
     assert sweep_group(day / "09-30-00") != sweep_group(day / "09-21-10")
 
 
-def test_an_unknown_mode_is_refused(tmp_path):
-    """A misspelt mode is named before anything is written."""
-    with pytest.raises(ValueError, match="wandb: mode must be one of 'offline', 'online' or 'disabled', got 'of'"):
-        RunLogger(tmp_path / "run", wandb=WandbSettings(mode="of"))  # type: ignore[arg-type]
-    assert not (tmp_path / "run").exists()
-
-
 def test_a_key_that_cannot_be_is_told_in_one_sentence(tmp_path, monkeypatch):
     """Before anything is sent."""
     monkeypatch.setenv("WANDB_API_KEY", "abc")

@@ -57,8 +57,4 @@ def test_loss_terms_stand_with_their_squared_units_and_gaps():
     }
     header, rows = loss_table(terms, total="total")
     assert header == ["mean square of", "unit", "fit, with", "held out, with"]
-    assert rows == [
-        ["joint position", "rad²", 1.0, 4.0],
-        ["joint current", "A²", 2.0, None],
-        ["total", "", 3.0, 4.0],
-    ]
+    assert rows == [["joint position", "rad²", 1.0, 4.0], ["joint current", "A²", 2.0, None], ["total", "", 3.0, 4.0]]

@@ -45,17 +45,16 @@ def problem(recorded):
     return Reidentification(*recorded, **SETTINGS)
 
 
+def trial(problem, constant: float | None = None, friction: float | None = None) -> dict[str, float]:
+    """Parameters of a trial; the model's where None."""
+    usual = [problem.model.value(name) for name in NAMES]
+    values = [known if given is None else given for given, known in zip((constant, friction), usual, strict=True)]
+    return {f"parameters.{name}": value for name, value in zip(NAMES, values, strict=True)}
+
+
 def test_the_truth_is_closer_in_both_objectives(problem):
     """At the robot's parameters the same episodes are worth the same, and the excitation loss is far smaller."""
-    start, truth = problem.evaluate(
-        [
-            {"parameters.torque_constant": problem.model.value("torque_constant"), "parameters.coulomb_friction": 0.09},
-            {
-                "parameters.torque_constant": 0.0049,
-                "parameters.coulomb_friction": problem.model.value("coulomb_friction"),
-            },
-        ]
-    )
+    start, truth = problem.evaluate([trial(problem, friction=0.09), trial(problem, 0.0049)])
     assert truth.values[0] < 0.05 * start.values[0]
     assert truth.values[1] < 1e-9 < start.values[1]
 
@@ -63,12 +62,7 @@ def test_the_truth_is_closer_in_both_objectives(problem):
 def test_trials_keep_what_proposals_are_learned_from(problem):
     """An image as long as the excitation's residual, and the misfit of the returns where episodes were played."""
     value, friction = (problem.model.value(name) for name in NAMES)
-    near, far = problem.evaluate(
-        [
-            {"parameters.torque_constant": value, "parameters.coulomb_friction": 1.1 * friction},
-            {"parameters.torque_constant": 0.5 * value, "parameters.coulomb_friction": friction},
-        ]
-    )
+    near, far = problem.evaluate([trial(problem, friction=1.1 * friction), trial(problem, 0.5 * value)])
     assert np.square(near.attributes[IMAGE]).sum() == pytest.approx(near.values[0], rel=0.5)
     assert np.abs(near.attributes[MISFIT]).mean() == pytest.approx(near.values[1], rel=1e-4)
     assert far.values[0] > PLAUSIBLE * problem.start.excitation
@@ -78,9 +72,7 @@ def test_trials_keep_what_proposals_are_learned_from(problem):
 
 def test_a_race_spares_the_worse_half_and_changes_no_winner(problem):
     """Half of a population plays two of four episodes; the others get what they get where all play all."""
-    constants = (0.0049, 0.0050, 0.0052, 0.0056, 0.0060, 0.0064)
-    friction = problem.model.value("coulomb_friction")
-    population = [{"parameters.torque_constant": kt, "parameters.coulomb_friction": friction} for kt in constants]
+    population = [trial(problem, kt) for kt in (0.0049, 0.0050, 0.0052, 0.0056, 0.0060, 0.0064)]
     raced = problem.evaluate(population)
     problem.race = False
     try:
@@ -113,9 +105,7 @@ def test_joints_that_differ_go_along(recorded):
 
 def test_processes_share_a_population(problem, recorded):
     """Two processes find what one does, in its order, and simulate as long."""
-    constants = (0.0049, 0.0064, 0.0052)
-    friction = problem.model.value("coulomb_friction")
-    population = [{"parameters.torque_constant": kt, "parameters.coulomb_friction": friction} for kt in constants]
+    population = [trial(problem, kt) for kt in (0.0049, 0.0064, 0.0052)]
     before = problem.simulated_seconds
     alone = problem.evaluate(population)
     spent = problem.simulated_seconds - before
@@ -133,9 +123,8 @@ def test_a_study_moves_towards_the_robot(problem):
         "parameters.torque_constant": FloatDistribution(0.0046, 0.0084),
         "parameters.coulomb_friction": FloatDistribution(0.034, 0.226),
     }
-    nominal = {f"parameters.{name}": problem.model.value(name) for name in NAMES}
     directions = ("minimize", "minimize")
-    how = StudySettings(space, "nsga2", directions, n_trials=24, population=8, nominal=nominal, seed=0)
+    how = StudySettings(space, "nsga2", directions, n_trials=24, population=8, nominal=trial(problem), seed=0)
     found = problem.finish(run_study(problem.evaluate, how, progress=False))
     assert found.chosen.distance < found.start.distance
     assert found.chosen.excitation <= 1.25 * found.start.excitation
