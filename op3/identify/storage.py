@@ -15,20 +15,18 @@ from op3.identify.search_space import StudyError
 JOURNAL_SUFFIXES = (".journal", ".log")
 
 
-def open_storage(storage: str | os.PathLike[str] | BaseStorage | None) -> BaseStorage:
+def open_storage(storage: str | os.PathLike[str] | None) -> BaseStorage:
     """Open the storage of a study, ready for several workers at once.
 
     Args:
         storage: a path ending in `.journal` or `.log` (a file that all workers see), a database URL such
-            as `sqlite:///study.db` or `mysql://...`, an open Optuna storage, or None for memory only.
+            as `sqlite:///study.db` or `mysql://...`, or None for memory only.
 
     Raises:
         StudyError: if it is neither, or cannot be opened or written.
     """
     if storage is None:
         return InMemoryStorage()
-    if isinstance(storage, BaseStorage):
-        return storage
     name = os.fspath(storage)
     if "://" in name:
         return _open_database(name)

@@ -48,13 +48,8 @@ def ranges_figure(
     Args:
         bounds: ranges to draw, by name, where they are not the catalogue's.
         starts: values that the search started from, by name, where they are not the catalogue's.
-
-    Raises:
-        ValueError: if no model has a parameter that is named.
     """
     known = bounded_parameters(models.values(), bounds, starts)
-    if unknown := [name for name in names if name not in known]:
-        raise ValueError(f"no model has the parameter {unknown[0]!r}; they have {', '.join(known)}")
     figure, colour = go.Figure(), colours(list(models))
     begun = [place_in_range(known[name], known[name].nominal) for name in names]
     tick = dict(symbol="line-ns", size=30, line=dict(color=INK, width=2))

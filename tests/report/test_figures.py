@@ -163,12 +163,6 @@ def test_ranges_place_values_intervals_and_nominals():
     assert shown.text[0].startswith("0.70 (0.65 to 0.75)")
 
 
-def test_ranges_refuse_a_parameter_of_no_model():
-    """An unknown parameter is named with those there are."""
-    with pytest.raises(ValueError, match="no model has the parameter 'payload'; they have torque_constant"):
-        ranges_figure(models(), ["payload"])
-
-
 def test_bench_errors_are_boxes_by_motion_and_held_out_runs_apart():
     """Runs of one trajectory share a place, those held out have their own label, and a failed one has no error."""
     logs = [bench_log("sin_sin", 0.4, 8.0), bench_log("sin_sin", 0.2, 16.0), bench_log("lift_and_drop", 0.2, 8.0)]
