@@ -61,22 +61,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     launch(app)
 
 
-def launch(app: str) -> None:
+def launch(app: str, module: str = "") -> None:
     """Run a command with the overrides of the process, as ``python experiments/<app>.py`` does.
 
     Help that reads well, paths with any character, and wrong names in one sentence before anything heavy is imported.
 
     Args:
-        app: module in `op3.apps`, whose config has the same name.
+        app: name of the config.
+        module: with the command's `main`; that of the same name in `op3.apps` where empty.
     """
     try:
-        _launch(app)
+        _launch(app, module)
     except KeyboardInterrupt:  # before the work has begun, or between two jobs
         print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(130) from None
 
 
-def _launch(app: str) -> None:
+def _launch(app: str, module: str) -> None:
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(app))
         return
@@ -115,7 +116,7 @@ def _launch(app: str) -> None:
         if folder is not None:
             sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
         file = config_file(app)
-        hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app))()
+        hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app, module))()
     except (HydraException, OmegaConfBaseException, OSError) as error:
         end(masked(explained(error, app)))
     except RuntimeError as error:

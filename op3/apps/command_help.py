@@ -2,6 +2,7 @@
 
 import ast
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,8 +16,9 @@ PRESETS: Mapping[str, Sequence[str]] = {
 
 
 def documentation(app: str) -> str:
-    """The docstring of a command's module in `op3.apps`, which is not imported for it."""
+    """The docstring of a command's module in `op3.apps`, which is not imported for it, else of the script that runs."""
     path = Path(__file__).parent / f"{app}.py"
+    path = path if path.exists() else Path(sys.argv[0])
     return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
 
 

@@ -30,19 +30,21 @@ class Job:
     """Hydra's task function of a command, which imports the command once its config stands.
 
     Args:
-        app: module in `op3.apps` with a `main` that takes the config; its `INTERRUPTED` says how to go on after Ctrl-C.
+        app: name of the config.
+        module: with a `main` that takes the config, that of this name in `op3.apps` where empty; its `INTERRUPTED` says
+            how to go on after Ctrl-C.
     """
 
-    def __init__(self, app: str):
-        self.app = app
+    def __init__(self, app: str, module: str = ""):
+        self.app, self.module = app, module or f"op3.apps.{app}"
         self.__module__ = f"op3.apps.{app}"  # Hydra names the job after it
 
     def __call__(self, cfg: DictConfig) -> Any:
         """Check, run, print the result; returns what a sweep optimises."""
-        with one_sentence(self.__module__):
+        with one_sentence(self.module):
             register()  # a launcher's worker process has composed nothing itself
             check(cfg)
-            module = importlib.import_module(self.__module__)
+            module = importlib.import_module(self.module)
             if hasattr(module, "sweep_or_report"):  # its main is a study
                 result = module.main(cfg)
             else:

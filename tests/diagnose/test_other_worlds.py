@@ -3,10 +3,10 @@
 import pytest
 import yaml
 
+from experiments.hidden_bench.score import read_verdict, score_case
 from op3.diagnose import Diagnosis, Settings, split_logs
 from op3.sim import load_model
 from op3.stand_in import draw_case, record_case
-from op3.stand_in.score import read_verdict, score_case
 from op3.stand_in.world import read_ranges
 
 WORLDS = {

@@ -3,7 +3,7 @@
 import numpy as np
 from report_logs import PageReader
 
-from op3.report.naming_page import LABELS, naming_page, rates_figure, reliability_figure
+from experiments.hidden_bench.naming_page import LABELS, naming_page, rates_figure, reliability_figure
 
 
 def rate(count: int, of: int) -> dict[str, float]:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.common.sample_intervals import wilson_interval
-from op3.stand_in.score import (
+from experiments.hidden_bench.score import (
     BenchFinding,
     BenchVerdict,
     calibration,
@@ -19,6 +18,7 @@ from op3.stand_in.score import (
     score_case,
     summarise,
 )
+from op3.common.sample_intervals import wilson_interval
 from tests.op3_table import LEG_JOINTS
 
 

@@ -1,18 +1,21 @@
 """The page of a hidden-effect bench: how often the right name was found."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+import yaml
 
-from op3.report.page import Page
-from op3.report.style import INK, MUTED, NAMES, colours, dress, plain, spread
+from op3.report.page import PROSE_TEMPLATES, Page
+from op3.report.style import INK, MUTED, colours, dress, plain, spread
 from op3.report.tables import TableRows
 
-LABELS = NAMES["rates"]
-CASE = NAMES["case"]
-MEDIANS = NAMES["medians"]
+HERE = Path(__file__).parent
+
+LABELS, MEDIANS, CASE = yaml.safe_load((HERE / "names.yaml").read_text(encoding="utf-8")).values()
+"""Names of rates and medians with their aims, and of a case's columns."""
 
 
 def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
@@ -80,8 +83,9 @@ def naming_page(
         "rates": rates_figure(summaries),
         "reliability": reliability_figure({label: s["calibration"] for label, s in summaries.items()}),
     }
-    context = {"s": summary, "labels": LABELS, "title": title, "commitment": commitment}
-    return Page.of("naming", figures, _tables(rows, summary), **context)
+    template = PROSE_TEMPLATES.from_string((HERE / "naming.md").read_text(encoding="utf-8"))
+    prose = template.render(s=summary, labels=LABELS, title=title, commitment=commitment)
+    return Page(prose, figures, _tables(rows, summary))
 
 
 def _tables(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -> dict[str, TableRows]:
