@@ -47,7 +47,7 @@ class Device:
         self.table = table
         self.memory: bytearray | memoryview = bytearray(table.size)
         self.ready = 0.0
-        self._baud_at = table["baud_rate"].address
+        self._id_at, self._baud_at = table["id"].address, table["baud_rate"].address
         self._delay_at = table["return_delay_time"].address
         self._level_at = table["status_return_level"].address
         self._owner: list[Register | None] = [None] * table.size
@@ -70,7 +70,7 @@ class Device:
     @property
     def id(self) -> int:
         """Its bus id."""
-        return self.get("id")
+        return self.memory[self._id_at]
 
     @property
     def baud(self) -> int:

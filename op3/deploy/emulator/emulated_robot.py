@@ -220,7 +220,8 @@ class EmulatedRobot:
         return min(self._heard, self._silent.get(servo.id, inf))
 
     def _next_trip(self) -> float:
-        return min((self._last_heard(servo) + servo.watchdog for servo in self._all if servo.torque), default=inf)
+        armed = [servo for servo in self._all if servo.watchdog < inf and servo.torque]
+        return min((self._last_heard(servo) + servo.watchdog for servo in armed), default=inf)
 
     def _trip(self, now: float) -> None:
         for servo in self._all:
