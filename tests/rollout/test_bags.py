@@ -182,7 +182,7 @@ def test_arrays_that_no_joint_follows_are_refused(tmp_path):
     """Numbers of something else."""
     rng = np.random.default_rng(0)
     noise = [("/arm/commands", ARRAY, BEGIN + t, array(2 * rng.random(3))) for t in TIME]
-    with pytest.raises(LogError, match="sends arrays without names, and number 1 follows no joint"):
+    with pytest.raises(LogError, match="sends arrays without names, and number 1 clearly follows none of the joints"):
         read(tmp_path, states(), noise)
 
 
