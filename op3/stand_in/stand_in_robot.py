@@ -41,7 +41,7 @@ class StandIn:
     """A robot whose truth is hidden behind its sensors.
 
     `play` records a motion as a computer on the robot would. Below it lies what a bus needs: `reset`,
-    `write_current`, `enable`, `advance`, `read_sensors`.
+    `write_current`, `drive`, `advance`, `read_sensors`.
 
     Args:
         world: the truth.
@@ -228,9 +228,10 @@ class StandIn:
         own = self.servos.servos["position_gain"] > 0  # whose goal is an angle [rad]
         self._arrivals.append((arrival, np.where(own, goal, goal.clip(-self._current_limit, self._current_limit))))
 
-    def enable(self, enabled: ArrayLike) -> None:
-        """Whether the motors are driven from now on [joint]; otherwise they run free."""
+    def drive(self, enabled: ArrayLike, current: ArrayLike) -> None:
+        """Currents [joint] in A from now on; joints that are not enabled run free, with friction alone."""
         self.servos.states["enabled"] = enabled
+        self.write_current(current)
 
     def send(self, current: ArrayLike) -> None:
         """A command of the computer on the robot: in whole units, under way for a while, and lost at times."""

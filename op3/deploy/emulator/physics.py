@@ -82,11 +82,6 @@ class StandInPhysics(StandIn):
         """See `Physics`."""
         return self._sensors.position
 
-    def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
-        """See `Physics`."""
-        self.enable(enabled)
-        self.write_current(current)
-
     def advance(self, duration: float) -> None:
         """See `Physics`."""
         super().advance(duration)
