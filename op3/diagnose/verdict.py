@@ -181,8 +181,8 @@ class Verdict:
         )
         return (
             f"RMS angle error in {self.windows.length:.2g} s windows of held-out runs:"
-            f" given model {1e3 * one.given:.2f} mrad, baseline fit {1e3 * one.baseline:.2f} mrad, returned model {1e3 * one.returned:.2f} mrad{floor}."
-            f"{worse}"
+            f" given model {1e3 * one.given:.2f} mrad, baseline fit {1e3 * one.baseline:.2f} mrad,"
+            f" returned model {1e3 * one.returned:.2f} mrad{floor}.{worse}"
         )
 
     def plain(self) -> dict[str, Any]:

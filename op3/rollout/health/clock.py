@@ -43,7 +43,7 @@ def jumps(view: View) -> Found:
 
 @check("rate", rows=3)
 def rate(view: View) -> Found:
-    """The rows come at another rate than the metadata says, or at one that no robot has."""
+    """The rate of the rows differs from the metadata, or is implausible for a robot."""
     steps, said, interval = np.diff(view.time), view.metadata.rate, view.interval
     row, unit, remedy = 1, None, "correct the rate or the time"
     # The mean suits a clock that alternates between two intervals, the median one with gaps.
@@ -96,7 +96,7 @@ def uneven(view: View) -> Found:
 
 @check("repeated rows")
 def repeated(view: View) -> Found:
-    """All sensors keep their numbers while a joint moves: the recorder wrote one reading again and again."""
+    """All sensor values stay the same while a joint moves: the recorder repeated one reading."""
     same = np.ones(max(len(view.time) - 1, 0), bool)
     for key in (key for key in view.log.channels if key[0] in ("joint", "imu")):
         rows, values = np.flatnonzero(same), view.log.array(key)  # the first leaves few rows
@@ -121,7 +121,7 @@ def repeated(view: View) -> Found:
 
 @check("stale readings")
 def stale(view: View) -> Found:
-    """A position, or a sensor of the trunk, gets new values only every so many rows: it was read more rarely."""
+    """A position, or a sensor of the trunk, has new values only in every n-th row: it was read less often."""
     remedy = "read it in every row, or record at the lower rate"
     trunk = {key: _new_in_every(view.log.array(key)) for key in (ORIENTATION, RATE, FORCE) if key in view.log}
     rarely = {key: every for key, every in trunk.items() if every >= 3}
@@ -147,7 +147,7 @@ def _new_in_every(values: np.ndarray) -> int:
 
 @check("two clocks")
 def two_clocks(view: View) -> Found:
-    """Command and position were stamped by different clocks: their delay is long, or grows."""
+    """Command and position have timestamps of different clocks: the delay between them is long, or grows."""
     angle, target, _, stride = view.thinned(0.02)
     period, third = stride * view.interval, len(angle) // 3
     if third * period < 1 or view.interval > 0.1:

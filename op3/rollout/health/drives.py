@@ -15,7 +15,7 @@ _EXPLAINED = "two clocks, position against command, position without its command
 
 @check("current against position error", unless=_EXPLAINED)
 def drive(view: View) -> Found:
-    """Current or duty drives away from the target, is another joint's, or is in another unit than gain times error."""
+    """Current or duty has the wrong sign, belongs to another joint, or is in another unit than gain times error."""
     rows = view.driven.all(1) & (np.arange(len(view.time)) % (1 + len(view.time) // 20_000) == 0)  # so many are enough
     for key, numbers, gain in view.drives if rows.sum() >= 20 else ():
         values, speed, error = numbers[rows], view.speed[rows], -view.error[rows]

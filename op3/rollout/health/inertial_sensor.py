@@ -56,7 +56,7 @@ for _order in _SWAPS.values():
 
 @check("orientation", ORIENTATION, RATE, FORCE, rows=20)
 def orientation(view: View) -> Found:
-    """Gyroscope and accelerometer agree, and the orientation with them only when it is read in another way."""
+    """Gyroscope and accelerometer agree, but the orientation agrees with them only in another convention."""
     angles, (first, last, _) = view.log.array(ORIENTATION), view.windows
     turned, pushed = (view.summed(view.log.array(key)) for key in (RATE, FORCE))
     if not view.long or not (turned.any() and (size := np.linalg.norm(pushed, axis=1)).all()):
@@ -80,8 +80,8 @@ def orientation(view: View) -> Found:
 
 @check("gyroscope against orientation", RATE, rows=20, unless="orientation")
 def gyroscope(view: View) -> Found:
-    """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero; without an orientation,
-    unit and sign show in how gravity turns in the trunk."""
+    """The gyroscope and the derivative of the orientation differ in unit, sign, axes or zero. Without an orientation,
+    unit and sign are compared with the direction of gravity in the trunk."""
     rate, (first, last, span), force = view.log.array(RATE), view.windows, view.get(FORCE)
     angles, axes, near, what = view.get(ORIENTATION), 3, 0.05, "derivative of the orientation"
     if angles is None and force is not None and view.long:  # roll and pitch are those of gravity, roughly
@@ -141,7 +141,7 @@ def _unit_of_rates(unit: str | None) -> str:
 
 @check("gravity", FORCE, unless="orientation")
 def gravity(view: View) -> Found:
-    """The accelerometer's size or direction is not that of gravity."""
+    """The size or direction of the accelerometer's readings is not that of gravity."""
     force, angles = view.log.array(FORCE), view.get(ORIENTATION)
     if not np.ptp(force, axis=0).any():
         return
@@ -205,7 +205,7 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Found:
 
 @check("mount", ORIENTATION, rows=20, unless="orientation")
 def mount(view: View) -> Found:
-    """The trunk turns on a stand, or is as still as on one while the joints move and the robot stands on its feet."""
+    """The trunk turns although the mount is a stand, or is as still as on a stand although the mount is the ground."""
     angles, where = view.log.array(ORIENTATION), view.metadata.mount
     turned = float(np.ptp(np.unwrap(angles[:, :2], axis=0), axis=0).max())
     moved = float(np.quantile(np.ptp(view.position, axis=0), 0.75))

@@ -38,7 +38,7 @@ def exchanged(view: View) -> dict[int, int]:
 
 @check("position against command")
 def command(view: View) -> Found:
-    """Position and command differ in unit or sign, belong to different joints, or the command says how far to go."""
+    """Position and command differ in unit or sign, belong to different joints, or the command is relative."""
     circles, wrong = exchanged(view), not view.metadata.fallen  # limbs of a robot that falls are flung about
     for joint, other in circles.items():
         which = "of the two" if circles.get(other) == joint else "of several joints"

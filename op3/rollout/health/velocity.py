@@ -29,7 +29,7 @@ _LAGS = "velocity {} the change of position by {:.2g} s"
 
 @check("velocity against position", VELOCITY, rows=20)
 def velocity(view: View) -> Found:
-    """Velocity and the derivative of position differ in factor, sign, delay or zero, part for a moment, or belong to
+    """Velocity and the derivative of position differ in factor, sign, delay or zero, diverge for a moment, or belong to
     different joints."""
     if (fit := view.rates) is None:
         return

@@ -18,7 +18,7 @@ class Payload(Effect):
     edits = (ModelEdit("body_mass", "base_body", "add", "base_mass_offset"),)
     secants = ({"base_mass_offset": 0.1},)
     fingerprint = (
-        "in the phase of gravity, in fixed ratio over all joints that carry the base link; a step between recordings"
+        "in phase with gravity, in fixed ratio over all joints that carry the base link; a step between recordings"
     )
     confounders = ("com_offset", "link_mass", "torque_constant")
     separating_experiment = "add a known mass; turn the base"
@@ -41,7 +41,7 @@ class CentreOfMassOffset(Effect):
         ModelEdit("body_ipos", "base_body", "add", "base_com_offset_z", column=2),
     )
     secants = ({"base_com_offset_x": 0.005}, {"base_com_offset_z": 0.005})
-    fingerprint = "in the phase of gravity of the base link, turning with the pose"
+    fingerprint = "in phase with gravity of the base link, turning with the pose"
     confounders = ("payload", "encoder_offset", "cable_spring", "imu_mount", "ground_tilt")
     separating_experiment = "turn the base: gravity turns, a spring does not; a known added mass"
 
@@ -79,7 +79,7 @@ class LinkMass(Effect):
     parameters = (Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),)
     edits = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
     secants = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
-    fingerprint = "in the phase of gravity, in fixed ratio over all joints that carry the link"
+    fingerprint = "in phase with gravity, in fixed ratio over all joints that carry the link"
     confounders = ("payload", "link_com", "torque_constant", "encoder_offset")
     separating_experiment = "add a known mass; turn the base"
     scopes = ("joint",)
@@ -103,7 +103,7 @@ class LinkCentreOfMass(Effect):
         for column, axis in enumerate("xyz")
     )
     secants = ({"link_com_offset_x": 0.005}, {"link_com_offset_y": 0.005}, {"link_com_offset_z": 0.005})
-    fingerprint = "in the phase of gravity, turning with the pose, in all joints that carry the link"
+    fingerprint = "in phase with gravity, turning with the pose, in all joints that carry the link"
     confounders = ("encoder_offset", "link_mass", "cable_spring", "current_offset")
     separating_experiment = "turn the base: gravity turns, a spring does not; IMU against kinematics"
     scopes = ("joint",)
