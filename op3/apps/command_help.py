@@ -37,7 +37,7 @@ def overview() -> str:
             "",
             "  op3 <command> [setting=value ...]      op3 <command> --help lists the settings",
             "",
-            f"  {'demo':15s}Run the whole method on an emulated robot at a small budget; write one HTML page.",
+            f"  {'demo':15s}Record, identify, train and deploy on an emulated robot in minutes; write one HTML page.",
             *rows,
             f"  {'doctor':15s}Check this machine, and state how to fix what is missing.",
             f'  {"completion":15s}Completion for bash: eval "$(op3 completion)".',

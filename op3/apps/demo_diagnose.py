@@ -1,4 +1,4 @@
-"""Hide an effect in a simulated robot, record it, and diagnose it, in two minutes.
+"""Hide an effect in a simulated robot, record its logs, and diagnose them, in two minutes.
 
 op3 demo diagnose [hidden_effect=backlash] [severity=clear] [seed=3] [hidden_robot=arm]
 

@@ -1,4 +1,4 @@
-"""Run a policy on a robot, with start checks and limits; the exit code states how it ended.
+"""Run a policy on a robot, with start checks and limits; the exit code states how the run ended.
 
 op3 deploy policy=assets/policies/balance port=/dev/ttyUSB0 [duration=20] [--yes]
 op3 deploy policy=assets/policies/balance port=emulated [world=eta_070] [model=<model.yaml>]

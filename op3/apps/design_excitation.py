@@ -1,4 +1,4 @@
-"""Plan the motions that narrow the intervals of parameters most per second of robot time.
+"""Plan the motions that reduce the uncertainty of parameters most per second of robot time.
 
 op3 design groups=[gear,friction] seconds=60 [mounts=[floor]] [model=<model.yaml>]
 op3 collect plan=<its folder>/plan.yaml source=stand_in
@@ -53,7 +53,7 @@ def design(
     folder: str | Path | None = None,
     overrides: Sequence[str] = (),
 ) -> Designed:
-    """Plan the motions that narrow the intervals of parameters most per second of robot time.
+    """Plan the motions that reduce the uncertainty of parameters most per second of robot time.
 
     Args:
         groups: parameter groups to be identified; None: ``motor, gear, friction, body``.

@@ -1,4 +1,4 @@
-"""Evaluate a policy or a baseline by R_eval on a simulated robot.
+"""Measure the return R_eval and the success rate of a policy or baseline in simulation.
 
 op3 evaluate policy=<bundle> model=<model.yaml> task=balance_eval [episodes=10]
 op3 evaluate policy=<bundle> task=balance_eval episodes=20 baseline=hold
@@ -71,7 +71,7 @@ def evaluate(
     wandb: str = "disabled",
     overrides: Sequence[str] = (),
 ) -> Evaluated:
-    """Evaluate a policy or a baseline by R_eval on a simulated robot.
+    """Measure the return R_eval and the success rate of a policy or baseline in simulation.
 
     Args:
         policy: folder of a bundle, or ``hold``, ``zero``, ``random``, ``stiff``.

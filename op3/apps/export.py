@@ -1,4 +1,4 @@
-"""Write a model for another simulator, and measure the error with the effects that it can represent.
+"""Write a model for another simulator, and measure the error without the effects that its format cannot represent.
 
 op3 export model=<model.yaml> to=mjcf|bam [data=<logs>] [robot=<robot>] [out=<file>]
 

@@ -1,4 +1,4 @@
-"""Check a log of any format: its content, guesses with reasons, and findings.
+"""Check a log of any format, and show how its columns are interpreted.
 
 op3 import data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
 

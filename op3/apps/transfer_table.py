@@ -1,4 +1,4 @@
-"""Count successful transfers by the model that policies were trained on: the paper's Tables III and IV.
+"""Count successful transfers for every training method, as in the paper's Tables III and IV.
 
 op3 transfers                                    # balancing: all robots, conditions and seeds
 op3 transfers task=walk condition=excitation_only,reidentified,domain_randomisation

@@ -43,7 +43,7 @@ def lost_turns(view: View) -> Found:
 
 @check("copied channels", rows=20)
 def copied(view: View) -> Found:
-    """Two joints have the same numbers in every row."""
+    """Two joints have the same values in every row."""
     seen: dict[tuple[Key, bytes], int] = {}
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT):
         first = seen.setdefault((key, np.ascontiguousarray(column).tobytes()), index)
@@ -62,7 +62,7 @@ def copied(view: View) -> Found:
 
 @check("command instead of position", rows=20)
 def not_measured(view: View) -> Found:
-    """A position is the command itself, number by number: the goal was recorded, and not what was read."""
+    """A position equals the command in every row: the goal was recorded instead of the measurement."""
     angle, target = view.position, view.command
     rounding = np.minimum(0.51 * view.steps(POSITION), np.pi / 1024)  # of an encoder
     late = [(np.abs(angle[n:] - target[: len(target) - n]) <= rounding * (n < 3)).all(0) for n in range(8)]
@@ -74,7 +74,7 @@ def not_measured(view: View) -> Found:
 
 @check("register without its sign")
 def unsigned(view: View) -> Found:
-    """Negative numbers of a 16-bit or 32-bit register were read as large positive ones."""
+    """Negative values of a 16-bit or 32-bit register were read as large positive ones."""
     for key, index, column in view.columns(POSITION, VELOCITY, CURRENT, LOAD):
         size = float(view.steps(key)[index]) or _counted(column, CHANNELS[key].quantity.unit)
         if not size or column.max() < 2**10 * size:
@@ -109,7 +109,7 @@ def _counted(column: np.ndarray, si_unit: str) -> float:
 
 @check("single readings")
 def spikes(view: View) -> Found:
-    """A reading leaps away for a row and comes back, or a target for up to three rows."""
+    """A reading jumps for one row and returns, or a target for up to three rows."""
     for key, index, column in view.columns(*_LEAPS):
         column, sent, angle = np.unwrap(column) if key == ORIENTATION else column, key == COMMAND, key == POSITION
         least = max(_LEAPS[key], 5 * view.interval * angle)
@@ -139,8 +139,8 @@ def spikes(view: View) -> Found:
 
 @check("zeros", rows=20)
 def zeros(view: View) -> Found:
-    """All axes of the trunk's sensor, all joints, or a velocity read 0 in single rows: nothing was read there. Or a
-    target is 0 there, where none was sent."""
+    """All axes of the trunk's sensor, all joints, or a velocity are 0 in single rows, because nothing was read there;
+    or a target is 0, because none was sent."""
     for key in (key for key in _LOST if key in view.log):
         values, alone = view.log.array(key), key in (VELOCITY, COMMAND)  # of each joint, while it keeps its direction
         for index, part in enumerate(values.T[:, :, None] if alone else [values] if values.shape[1] > 1 else []):

@@ -24,7 +24,7 @@ _SHORT = 0.025  # in a longer time from row to row [s] a joint may come to a new
 
 @check("limits of the robot")
 def beyond_limits(view: View) -> Found:
-    """A joint is mostly where its robot's file says that it cannot go: its sign or its zero is another."""
+    """A joint is mostly outside the limits of the robot's file: its sign or zero is wrong."""
     if (known := view.robot) is None:
         return
     names = [name for name in view.joints if name in known.joints]
@@ -60,9 +60,9 @@ def _turned_round(robot: Robot, angles: dict[str, np.ndarray], wrong: list[str])
 
 @check("constant offset", rows=20, unless="position against command")
 def constant_offset(view: View) -> Found:
-    """A joint stands off its command by the same angle in every pose: a turn, a homing offset, another zero, or a sign.
+    """A joint differs from its command by the same angle in every pose: a turn, a homing offset, a wrong zero or sign.
 
-    Where the recorded current is the gain times this angle, the joint is just soft, and yields to what it carries.
+    If the recorded current is the gain times this angle, the joint only yields to its load, and nothing is reported.
     """
     driven = (view.driven.mean(0) > 0.5) & are_radians(view.position) & are_radians(view.command)
     joints = np.setdiff1d(np.flatnonzero(driven), list(exchanged(view))).tolist()
@@ -115,7 +115,7 @@ def _sags(view: View) -> np.ndarray:
 
 @check("coarse steps")
 def coarse(view: View) -> Found:
-    """Numbers lie on another grid than the sensor's: they were rounded, or are in another unit."""
+    """The step between values is not that of the sensor: they were rounded, or are in another unit."""
     make, exact = view.make, view.position_unit
     counts = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
     for key, usual in ((key, usual) for key, usual in {POSITION: exact, **_ROUGHEST}.items() if key in view.log):
@@ -186,7 +186,7 @@ def _goes_round(view: View, bound: float) -> np.ndarray:
 
 @check("impossible speed", rows=2, unless="bounds")
 def impossible_speed(view: View) -> Found:
-    """A position moves further from row to row than any servo does, or leaps where it moves evenly before and after."""
+    """A position changes faster from row to row than any servo can, or jumps between stretches of smooth motion."""
     steps, taken = np.diff(view.position, axis=0), np.diff(view.time)
     row = np.arange(len(steps))[:, None]
     moved = np.maximum.accumulate(np.where(steps != 0, row, -1), axis=0)

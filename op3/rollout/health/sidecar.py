@@ -22,7 +22,7 @@ _WEIGHS = (0.7, 4.0)  # what a servo pushes with over what its pendulum weighs: 
 
 @check("plausible metadata")
 def plausible(view: View) -> Found:
-    """Mass, length or battery is far from that of any robot or bench, or from the voltage; the likely unit is named."""
+    """Mass, length or battery is implausible, or the battery does not fit the voltage; the likely unit is named."""
     for name, (unit, least, most, typical) in _PLAUSIBLE.items():
         value = getattr(view.metadata, name)
         if value is None or least <= value <= most:
@@ -41,7 +41,7 @@ def plausible(view: View) -> Found:
 
 @check("spelling of joints")
 def spelling(view: View) -> Found:
-    """Two joints differ in capital letters only: one joint that is spelled in two ways."""
+    """Two joint names differ in capital letters only: probably one joint."""
     first: dict[str, str] = {}
     for joint in view.joints:
         if (other := first.setdefault(joint.lower(), joint)) != joint:
@@ -51,7 +51,7 @@ def spelling(view: View) -> Found:
 
 @check("wrong robot")
 def robot(view: View) -> Found:
-    """The robot that the metadata name is not there, or joints of the log are none of its."""
+    """The robot in the metadata does not exist, or does not have the joints of the log."""
     if view.metadata.robot_file is None:
         return
     try:
@@ -66,8 +66,8 @@ def robot(view: View) -> Found:
 
 @check("unknown servo")
 def servo(view: View) -> Found:
-    """The servo that the metadata name has no file, so that nothing is known of its law and its units, or is none of
-    those of the robot that they name."""
+    """The servo in the metadata has no file, so that its law and units are unknown, or it is not one of the robot's
+    servos."""
     if (name := view.metadata.servo) is None:
         return
     makes = {make.name for make in view.log.servos if make is not None} if view.metadata.robot_file else set()
@@ -83,7 +83,7 @@ def servo(view: View) -> Found:
 
 @check("weight of the pendulum", rows=100, unless="two clocks")
 def weight(view: View) -> Found:
-    """A servo pushes with far less or more than its pendulum weighs: mass, length, gain or supply are others."""
+    """The servo's torque is far from the weight of its pendulum: mass, length, gain or supply are wrong."""
     about, make, gain = view.metadata, view.make, view.duty_gain
     if about.mount != "pendulum" or make is None or gain is None:
         return
@@ -106,14 +106,14 @@ def weight(view: View) -> Found:
 
 @check("few rows")
 def few(view: View) -> Found:
-    """So few rows that most checks say nothing."""
+    """There are too few rows for most checks."""
     if len(view.time) < 20:
         yield view.found("time", f"{len(view.time)} rows are too few to be checked", "record for longer")
 
 
 @check("gains")
 def gains(view: View) -> Found:
-    """A gain in the columns is not the one in the metadata, or P and D gains were exchanged."""
+    """A gain in a column differs from the metadata, or P and D gains were swapped."""
     for name in ("firmware_gain", "p_gain", "d_gain"):
         column, said = view.get(("command", name)), getattr(view.metadata, name)
         if column is None or said is None or (np.abs(column - said) <= 1e-6 * max(1.0, said)).any():
@@ -130,7 +130,7 @@ def gains(view: View) -> Found:
 
 @check("supply and temperature")
 def supply(view: View) -> Found:
-    """Voltage is far from the battery's, or a temperature is none of a servo that works."""
+    """A voltage does not fit the battery, or a temperature is impossible for a working servo."""
     servos, battery, shares = view.log.servos, view.metadata.battery or 0.0, dict[str, float]()
     makes = {make.name: make for make in (view.make, *servos) if make is not None}
     for make in makes.values() if len(makes) == 1 else ():

@@ -31,7 +31,7 @@ _LEAVE = "remove this time span, and check the servo's supply, its errors and to
 
 @check("saturated", unless="stale readings")
 def saturated(view: View) -> Found:
-    """A rate or acceleration is cut off at its largest number."""
+    """A rate or acceleration is clipped at its largest value."""
     for key, index, column in view.columns(VELOCITY, RATE, FORCE):
         top, size = np.abs(column).max(), float(view.steps(key)[index])
         flat = np.abs(column) == top
@@ -54,7 +54,7 @@ def saturated(view: View) -> Found:
 
 @check("stuck value", rows=21)
 def stands_still(view: View) -> Found:
-    """A channel keeps one number while the joint moves, or a position while its command travels far."""
+    """A channel keeps one value while the joint moves, or a position while its command changes."""
     rows = max(1, round(0.2 / view.interval))
     yield from _sensors_stand(view, rows)
     for joint, (first, last, moved) in commands_stop(view).items():
@@ -194,9 +194,9 @@ def turned_by_gyroscope(view: View) -> np.ndarray:
 
 @check("torque lost", rows=50, unless=f"{_RELATED}, time jumps, stale readings")
 def lets_go(view: View) -> Found:
-    """For a while a joint takes no current where its error asks for it, or stays beyond all its recent targets and is
-    not pulled towards them, much further off than at other times. Without a current it is not reported within 0.1 rad
-    of its recent targets, nor where it moves the others as well, nor of a lone servo, which friction may hold."""
+    """For a while a joint has no current although its error requires one; or, without a measured current, it stays far
+    beyond its recent targets. The latter is not reported within 0.1 rad of these targets, if other joints are displaced
+    too, or for a single servo, which friction may hold."""
     if view.metadata.fallen:
         return
     reported = {*commands_stop(view)}
@@ -280,8 +280,8 @@ def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: floa
 
 @check("position without its command", unless=f"{_RELATED}, lost turns, stuck value, torque lost")
 def unrelated(view: View) -> Found:
-    """A position does not follow its command at any delay: it is another joint's or recording's, or the
-    command is a torque. Not on its feet, where the weight moves soft joints against their commands."""
+    """A position does not follow its command at any delay: it belongs to another joint or recording, or the command is
+    a torque. Not checked on the floor, where the weight moves soft joints against their commands."""
     if view.metadata.mount not in HOLDING:
         return
     angle, target, driven, stride = view.thinned(_PERIOD)

@@ -20,7 +20,7 @@ class EncoderOffset(Effect):
     source = "homing of a servo horn; Rhoban's servo bench fits -0.126 rad on its STS3032"
     parameters = (Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),)
     secants = ({"encoder_offset": 0.01},)
-    fingerprint = "a constant angle: gravity of the links acts with another phase; foot pose and IMU disagree with the joint angles"
+    fingerprint = "a constant angle: gravity has another phase; foot pose and IMU disagree with the joint angles"
     confounders = ("link_com", "com_offset", "cable_spring", "current_offset", "encoder_nonlinearity")
     separating_experiment = "turn the base: gravity terms turn with it; compare the IMU with forward kinematics"
 
