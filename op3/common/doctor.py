@@ -42,7 +42,7 @@ def processors() -> Iterator[Line]:
     """Cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    note = "" if cores >= 2 else ": training collects and learns in turn; give it two"
+    note = "" if cores >= 2 else ": training would collect and learn in turn; use two"
     yield GOOD if cores >= 2 else POOR, "cores", f"{cores}, {memory:.0f} GB of memory{note}"
 
 
@@ -101,4 +101,4 @@ def adapters() -> Iterator[Line]:
         if latency is None or latency <= LATENCY:
             yield GOOD, "robot", f"{port}"
         else:
-            yield BAD, "robot", f"{port} holds bytes back for {latency} ms: echo {LATENCY} | sudo tee {timer}"
+            yield BAD, "robot", f"{port} has a latency timer of {latency} ms: echo {LATENCY} | sudo tee {timer}"

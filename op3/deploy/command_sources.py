@@ -87,7 +87,7 @@ class Schedule(CommandSource):
             times.append(float(entry["time"]))
             values.append([float(entry.get(axis, 0.0)) for axis in RANGES])
         if times != sorted(set(times)):
-            raise ValueError(f"{path}, field commands: times must rise, got {times}")
+            raise ValueError(f"{path}, field commands: times must increase, got {times}")
         self._times, self._values = np.array(times), limited(np.array(values))
 
     def at(self, time: float) -> Array | None:

@@ -69,7 +69,7 @@ class Limits:
 
     def __post_init__(self):
         if self.start_voltage < self.voltage:
-            raise ValueError(f"limits: start_voltage {self.start_voltage} V lies below voltage {self.voltage} V")
+            raise ValueError(f"limits: start_voltage {self.start_voltage} V is below voltage {self.voltage} V")
 
     def currents(self, robot: Robot) -> tuple[Array, Array]:
         """Peak and continuous goal current [joint] in counts.

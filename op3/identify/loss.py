@@ -65,7 +65,7 @@ class TrajectoryLoss:
         if missing:
             raise LogError(
                 f"the log has no joint {', '.join(missing)}",
-                f"focus on some of {', '.join(log.joints)}",
+                f"choose some of {', '.join(log.joints)}",
                 source=log.metadata.recording,
                 column="joints",
             )
@@ -81,7 +81,7 @@ class TrajectoryLoss:
         row = int(np.searchsorted(time, time[0] + self.skip - 1e-9))
         if row >= len(time):
             raise LogError(
-                f"the log lasts {time[-1] - time[0]:.2f} s, of which the first {self.skip:g} s do not count",
+                f"the log lasts {time[-1] - time[0]:.2f} s, of which the first {self.skip:g} s are omitted",
                 "lower `skip`, or record for longer",
                 source=log.metadata.recording,
             )
@@ -113,7 +113,7 @@ class TrajectoryLoss:
             elif key == ("joint", "position"):
                 raise LogError(
                     f"the positions of {', '.join(self.joints)} were set aside",
-                    "leave this log out, or focus on other joints",
+                    "leave this log out, or choose other joints",
                     source=log.metadata.recording,
                 )
         if not result:

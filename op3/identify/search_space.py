@@ -84,7 +84,7 @@ def check_nominal(search_space: SearchSpace, nominal: Mapping[str, Any]) -> dict
             )
         if not isinstance(value, int | float) or not known.low <= value <= known.high:
             raise StudyError(
-                f"{key}: the nominal value {value!r} lies outside interval({known.low:g}, {known.high:g}): widen the "
+                f"{key}: the nominal value {value!r} is outside interval({known.low:g}, {known.high:g}): widen the "
                 "range, change the nominal value, or start without one by nominal=false."
             )
         checked[key] = float(value)

@@ -72,7 +72,7 @@ class Card:
             )
         if self.penetration > LARGEST_OVERLAP:
             return (
-                f"pushes its parts {1000 * self.penetration:.1f} mm into each other in simulation;"
+                f"overlaps itself by {1000 * self.penetration:.1f} mm in simulation;"
                 f" {1000 * LARGEST_OVERLAP:g} mm are allowed"
             )
         return None

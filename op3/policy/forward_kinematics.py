@@ -121,6 +121,6 @@ def tip_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
         ValueError: if its file names no tip.
     """
     if robot.file.tip is None:
-        raise ValueError(f"the file of the robot {robot.name} names no tip")
+        raise ValueError(f"the file of the robot {robot.name} has no tip")
     with device:
         return Chains(robot, [robot.arm], _at_zero(robot).site(robot.file.tip).xpos[None, None])

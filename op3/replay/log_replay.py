@@ -105,7 +105,7 @@ class Replay:
             ValueError: if a bench is to be pushed.
         """
         if push is not None and any(group.setup.pendulum for group in self._groups):
-            raise ValueError("push: a bench takes no torque besides its servo's")
+            raise ValueError("push: a bench has no torque other than its servo's")
         predictions: dict[int, Prediction] = {}
         for group in self._groups:
             predictions.update(group.run(model, parameters or {}, candidates, progress, push))

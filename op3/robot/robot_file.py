@@ -228,7 +228,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupl
         if one.sets == "mass" and one.factor * one.default <= 0:
             raise file.fault(("parameters", name), f"makes a mass of {one.factor * one.default:g} kg")
     if content.key_points and len(content.key_points) % max(1, len(content.feet)):
-        raise file.fault(("key_points",), f"are {len(content.key_points)}, not as many for each of the feet")
+        raise file.fault(("key_points",), f"are {len(content.key_points)}, not the same number for each foot")
 
 
 def slide_of(joint: str) -> str:
@@ -256,7 +256,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
             raise file.fault((*place, "travel"), "is of a slide, and the model has a hinge here; leave it out")
         if entry.travel is not None and not 1e-4 <= abs(entry.travel) <= 1:
             raise file.fault(
-                (*place, "travel"), f"is {entry.travel:g} m/rad, which no gear of a servo makes; write m/rad"
+                (*place, "travel"), f"is {entry.travel:g} m/rad, which is implausible for a servo; write m/rad"
             )
         makes.append(_make(file, content, name))
         if (loop := content.loop or makes[-1].loop) != (content.loop or makes[0].loop):
@@ -293,7 +293,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
             )
             raise file.fault(("joints",), f"{problem}`{{coupled: {{joint: ..., ratio: ...}}}}` or `{{held: 0.0}}`")
     if (order := [name for name in hinges if name in content.joints]) != list(content.joints):
-        raise file.fault(("joints",), f"stand in another order than in the model; write {', '.join(order)}")
+        raise file.fault(("joints",), f"are in another order than in the model; write {', '.join(order)}")
 
 
 def _check_limits(
@@ -302,7 +302,7 @@ def _check_limits(
     """Refuse invalid ranges, and limits beyond the model's range by more than an encoder count."""
     (low, high), (first, last) = limits, joint.range
     if not low < high:
-        raise file.fault(place, f"go from {low:g} to {high:g}: the lower first")
+        raise file.fault(place, f"go from {low:g} to {high:g}: give the lower one first")
     if joint.limited and (low < first - count or high > last + count):
         raise file.fault(place, f"go from {low:g} to {high:g} rad, beyond the model's {first:.4g} to {last:.4g}")
 

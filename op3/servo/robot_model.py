@@ -216,6 +216,6 @@ def _check(known: Parameter, estimate: Estimate) -> None:
         raise ValueError(f"{known.name}: there is an interval of joint {joint!r}, but no value")
     for low, high in ((estimate.low, estimate.high), *estimate.intervals.values()):
         if low is not None and high is not None and low > high:
-            raise ValueError(f"{known.name}: the interval's low end {low} lies above its high end {high}")
+            raise ValueError(f"{known.name}: the interval's lower end {low} is above its upper end {high}")
     for special in estimate.by.values():
         _check(known, special)

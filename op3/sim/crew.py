@@ -32,7 +32,7 @@ class Crew(Generic[T]):
 
     def __init__(self, make: Callable[..., T], arguments: Mapping[str, Any], size: int = 0):
         if size < 0:
-            raise ValueError(f"a crew has at least one process, or 0 for one per processor, got {size}")
+            raise ValueError(f"processes must be at least 1, or 0 for one per processor, got {size}")
         self.size = size or processors()
         self._recipe = pickle.dumps((make, dict(arguments))) if self.size > 1 else b""
         self.worker = make(**arguments)

@@ -48,7 +48,7 @@ class Addresses:
         """
         entity = scene.robot
         if entity is None:
-            raise ValueError(f"scene {scene.name!r} has no robot to look at")
+            raise ValueError(f"scene {scene.name!r} contains no robot")
         base = int(model.body(entity.trunk.full_identifier).id)
         root = int(model.body_rootid[base])
         free = model.jnt(int(model.body_jntadr[root])) if scene.floating and model.body_dofnum[root] == 6 else None

@@ -97,7 +97,7 @@ def gait_profile(
     """
     task = find_task(task)
     if task.cycle is None:
-        raise ValueError(f"task {task.name!r} has no gait; a profile is of a walking task")
+        raise ValueError(f"task {task.name!r} has no gait; a gait profile needs a walking task")
     robot = load_robot(task.robot)
     joint = robot.legs[1][-2] if joint is None else joint
     column, side = logs[0].joints.index(joint), foot_of(joint, robot)

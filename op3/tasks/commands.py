@@ -120,7 +120,7 @@ class Stepwise:
         self._times = torch.tensor(list(times), dtype=torch.float64)
         self._values = torch.tensor([list(v) for v in values], dtype=torch.float64)
         if len(self._times) != len(self._values) or (self._times.diff() <= 0).any() or self._times[:1] != 0.0:
-            raise ValueError(f"times must rise from 0 and there must be a value for each, got {self._times.tolist()}")
+            raise ValueError(f"times must increase from 0, with a value for each, got {self._times.tolist()}")
 
     def at(self, time: Tensor) -> Tensor:
         """The current commands at a time of each episode [s]."""
@@ -177,7 +177,7 @@ class Target:
         interval: float | None = None,
     ):
         if robot.file.tip is None:
-            raise ValueError(f"the file of the robot {robot.name} names no tip; add tip: <site at the end of the arm>")
+            raise ValueError(f"the file of the robot {robot.name} has no tip; add tip: <site at the end of the arm>")
         self._robot, self._share, self._least = robot, share, least_height
         self._interval = duration if interval is None else interval
         self._count = ceil(duration / self._interval)

@@ -37,7 +37,7 @@ def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
         LogError: if a channel or a field of the metadata is missing.
     """
     if log.batched:
-        raise LogError("R_eval is of one episode, but the log has many", "give log.episodes() one by one")
+        raise LogError("R_eval is defined for one episode, but the log has many", "give log.episodes() one by one")
     task = find_task(task if task is not None else _field(log, "task", log.metadata.extra.get("task")))
     _, rows = policy_rows(log, _field(log, "policy_rate", log.metadata.policy_rate))
     if not paper_reward(task):

@@ -93,5 +93,5 @@ class State:
     def tip_position(self) -> Tensor:
         """Of the tip of an arm relative to its base, in the base's frame, ``[env, 3]`` in m."""
         if self.snapshot.tip_position is None:
-            raise ValueError("the robot's file names no tip")
+            raise ValueError("the robot's file has no tip")
         return self.snapshot.tip_position

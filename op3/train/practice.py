@@ -26,7 +26,7 @@ class Practice:
     def __post_init__(self):
         for path, pairs in self.curricula.items():
             if not pairs or any(len(pair) != 2 for pair in pairs) or list(pairs) != sorted(pairs):
-                raise ValueError(f"curricula.{path} lists pairs of steps and value, steps rising, got {pairs}")
+                raise ValueError(f"curricula.{path} lists pairs of steps and value, with increasing steps, got {pairs}")
 
     def at(self, steps: int) -> Mapping[str, Any]:
         """Values after so many steps, by path."""

@@ -282,7 +282,9 @@ class _Meter:
             if not _finite(after[name]):
                 terms = [f"reward_terms.{term}" for term, v in after.get("reward_terms", {}).items() if not _finite(v)]
                 what = terms[0] if name == "reward" and terms else name
-                raise ValueError(f"the environment gave a {what} that is not finite; check the term and the model file")
+                raise ValueError(
+                    f"the environment returned a {what} that is not finite; check the term and the model file"
+                )
         values = {"reward": after["reward"], "action/spread": rollout["action"].std()}
         for kind in ("reward_terms", "measure"):
             values |= {f"{kind}/{name}": value for name, value in after.get(kind, {}).items()}

@@ -35,14 +35,14 @@ def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
     if "exit" in log.metadata.extra and trained and played and played != trained:
         raise LogError(
             f"the policy of this episode was trained on the model {played}, the bundle's on {trained}",
-            "give the bundle that played",
+            "give the bundle that produced the episode",
             column="field model_hash",
             source=name,
         )
     attempted = log.metadata.extra.get("task")
     if isinstance(attempted, str) and attempted != task.name:
         raise LogError(
-            f"the episode attempts {attempted}, not {task.name}",
+            f"the episode is of the task {attempted}, not {task.name}",
             f"give task={attempted}, or episodes of {task.name}",
             column="field task",
             source=name,

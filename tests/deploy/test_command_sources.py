@@ -29,7 +29,7 @@ def test_a_schedule_holds_each_command(tmp_path):
         ("commands: [{time: 0.0, foward: 0.2}]", r"field commands\.0: must contain time and any of forward"),
         ("commands: [{forward: 0.2}]", r"field commands\.0: must contain time"),
         ("commands: [{time: 0.0, forward: fast}]", r"field commands\.0: must contain time"),
-        ("commands: [{time: 2.0}, {time: 1.0}]", "times must rise"),
+        ("commands: [{time: 2.0}, {time: 1.0}]", "times must increase"),
     ],
 )
 def test_a_wrong_schedule_is_named(tmp_path, text, message):

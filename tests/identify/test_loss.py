@@ -68,7 +68,7 @@ def test_the_beginning_may_be_left_out():
     assert TrajectoryLoss(skip=0.016)([late]).item() == 0.0
     assert TrajectoryLoss(skip=0.008)([late]).item() == pytest.approx(1 / 3)
     assert TrajectoryLoss(skip=0.008).residuals([late]).square().sum().item() == pytest.approx(1 / 3)
-    with pytest.raises(LogError, match="do not count"):
+    with pytest.raises(LogError, match="are omitted"):
         TrajectoryLoss(skip=1.0)([late])
 
 

@@ -34,7 +34,7 @@ def test_round_trip(bundle, tmp_path):
     ("changed", "sentence"),
     [
         ({"self_contact": 0.0201}, "touches itself in 2.0 % of the steps in simulation; 2 % are allowed"),
-        ({"penetration": 0.0021}, "pushes its parts 2.1 mm into each other in simulation; 2 mm are allowed"),
+        ({"penetration": 0.0021}, "overlaps itself by 2.1 mm in simulation; 2 mm are allowed"),
         ({"verdict": "FALLS"}, "falls in simulation according to its card"),
         ({"policy": "0123456789abcdef"}, "has the card of another policy"),
     ],

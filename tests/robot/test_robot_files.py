@@ -194,7 +194,7 @@ def test_robots_travel_between_processes(tmp_path):
         ({"joints:": "joint:"}, r"line 7: joint is not a field; the nearest is 'joints'"),
         ({"name: four": "name: my robot"}, r"line 2: name must be text of the form .*, got 'my robot'"),
         ({"home: 0.4": "home: '0.4'"}, r"line 9: joints.j1.home must be a number, got '0.4'"),
-        ({"home: 0.4": "limits: [1, -1]"}, r"line 9: joints.j1.limits go from 1 to -1: the lower first"),
+        ({"home: 0.4": "limits: [1, -1]"}, r"line 9: joints.j1.limits go from 1 to -1: give the lower one first"),
         (
             {"home: 0.4": "limits: [-90, 90]"},
             r"line 9: joints.j1.limits go from -90 to 90 rad, beyond the model's -1.5 to 1.5",

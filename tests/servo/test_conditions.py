@@ -76,7 +76,7 @@ def test_a_joint_has_its_own_value_and_interval(tmp_path):
     assert (
         knee.with_values({"coulomb_friction@joint=l_knee": 0.2}).estimate("coulomb_friction@joint=l_knee").low is None
     )
-    with pytest.raises(ValueError, match="lies above"):
+    with pytest.raises(ValueError, match="is above its upper end"):
         knee.with_values({"coulomb_friction@joint=l_knee": Estimate(0.2, 0.25, 0.15)})
     both = knee.with_values({"coulomb_friction@joint=l_knee": 0.3, "coulomb_friction": 0.1})
     assert both.estimate("coulomb_friction@joint=l_knee") == Estimate(0.3)

@@ -204,11 +204,11 @@ def test_episodes_that_end_otherwise_than_a_simulation_can_are_told_apart(record
     logs = [ended(extra={"exit": end}) for end in ("ok", "voltage", "fall", "bus_loss")]
     assert that_count(logs) == ([logs[0], logs[2]], [logs[1], logs[3]])
     check_episode(log, TASK, policy)
-    with pytest.raises(LogError, match=r"attempts walk.*give task=walk"):
+    with pytest.raises(LogError, match=r"of the task walk.*give task=walk"):
         check_episode(ended(extra={"task": "walk"}), TASK, policy)
     with pytest.raises(LogError, match=r"without a fall.*record episodes of 10 s"):
         check_episode(ended(fallen=False), find_task("balance_eval"), policy)
     trained = replace(policy.manifest.training, model_hash="0123")
     other = PolicyBundle(replace(policy.manifest, training=trained), policy.weights)
-    with pytest.raises(LogError, match="give the bundle that played"):
+    with pytest.raises(LogError, match="give the bundle that produced the episode"):
         check_episode(ended(model_hash="4567", extra={"exit": "ok"}), TASK, other)
