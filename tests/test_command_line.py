@@ -83,7 +83,7 @@ def op3() -> Callable[..., tuple[int, str]]:
             "there is no model file 'pape': give the path of a model.yaml or a name;",
         ),
         (["collect", "p_gain=1000"], "p_gain must be at most 6, got 1000"),
-        (["collect", "d_gain=0.69"], "d_gain must be below 0.68 A s/rad, or the xm430-w350 shakes, got 0.69"),
+        (["collect", "d_gain=0.69"], "d_gain must be below 0.68 A s/rad, because the xm430-w350 shakes above it"),
         (
             ["collect", "motion=soften", "motion.p_gain=7"],
             "motion 'soften': p_gain must be above 0 and at most 6 A/rad",

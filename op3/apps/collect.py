@@ -213,7 +213,9 @@ def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
         most = 2 * make.motor.armature.si / (make.output_constant * PERIOD)
         if make.loop == "current" and gains["d_gain"] >= most:
             given = gains["d_gain"]
-            raise ValueError(f"d_gain must be below {most:.2f} A s/rad, or the {make.name} shakes, got {given}")
+            raise ValueError(
+                f"d_gain must be below {most:.2f} A s/rad, because the {make.name} shakes above it; got {given}"
+            )
     return save(robot.play(motion, **gains, recording=name), name)
 
 

@@ -264,7 +264,7 @@ class StartChecks:
         position, largest = self._read().position, self._limits.overlap
         if gap := SelfCollision(self._bus.robot, margin=0.0).measured(position, 0.0 * position, largest):
             raise Failed(f"{gap}; move them apart by hand, or check the joints' calibration and horns")
-        return f"no part more than {1000 * largest:g} mm in another"
+        return f"no parts overlap by more than {1000 * largest:g} mm"
 
     def _imu(self) -> str:
         bus, blocks = self._bus, set()

@@ -253,7 +253,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
             problem += "where it stays, or `coupled: {joint: <hinge>, ratio: <m/rad>}` where a hinge drives it"
             raise file.fault(place, problem)
         if entry.travel is not None and slide_of(name) not in hinges:
-            raise file.fault((*place, "travel"), "is of a slide, and the model has a hinge here; leave it out")
+            raise file.fault((*place, "travel"), "applies to a slide joint, but the model has a hinge here; remove it")
         if entry.travel is not None and not 1e-4 <= abs(entry.travel) <= 1:
             raise file.fault(
                 (*place, "travel"), f"is {entry.travel:g} m/rad, which is implausible for a servo; write m/rad"

@@ -98,7 +98,7 @@ class OffPolicy(Algorithm):
         chosen = self.settings
         if chosen.buffer < 2 * self.environments:
             raise ValueError(
-                f"a buffer of {chosen.buffer} transitions holds under two steps of {self.environments} environments"
+                f"a buffer of {chosen.buffer} transitions has fewer than two steps of {self.environments} environments"
             )
         self.steps = self.learned = self.stored = 0
         storage = Gathered(chosen.buffer, device=self.device)

@@ -50,7 +50,7 @@ def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
     shortest = task.duration - 2.0 * POLICY_PERIOD
     if not log.metadata.fallen and log.duration < shortest:
         raise LogError(
-            f"the episode lasts {log.duration:.2f} s without a fall, those of {task.name} {task.duration:g} s",
+            f"the episode lasts {log.duration:.2f} s without a fall, but those of {task.name} last {task.duration:g} s",
             f"record episodes of {task.duration:g} s, or set the task's duration",
             source=name,
         )

@@ -143,7 +143,10 @@ def test_a_relay_changes_nothing(tmp_path, count):
     ("other", "said"),
     [
         (states("/r/joint_states", angles=POSITION + 0.1), "both publish it, with different values"),
-        (states("/r/joint_states", joints=("a", "a", "b")), "names a twice in one message; give every joint a unique"),
+        (
+            states("/r/joint_states", joints=("a", "a", "b")),
+            "has the joint a twice in one message; give every joint a unique",
+        ),
     ],
 )
 def test_two_robots_and_two_joints_of_a_name_are_refused(tmp_path, other, said):

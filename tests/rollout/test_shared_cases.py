@@ -84,7 +84,7 @@ IMPORTS = [
         spans={
             f"{side}_{name}": span for side in ("left", "right") for name, span in {**ARM, "gripper": 0.025}.items()
         },
-        says=("a gain of 16 to the servos", "every value equals that of left_shoulder_pan.position"),
+        says=("a gain of 16 is assumed", "every value equals that of left_shoulder_pan.position"),
         seconds=7.97,
     ),
     Import("lerobot_degrees_with_calibration", "", {**ARM, "gripper": 0.025}, ("unit: deg",), True, 7.97),

@@ -1600,7 +1600,7 @@ def test_duty_is_the_firmwares_gain_times_error():
         assert [said is not None and said in one for one in problems] == [True] * (said is not None)
 
 
-@pytest.mark.parametrize(("name", "told"), [("xl330", None), ("sts3302", "rename it sts3"), ("acme", "there are")])
+@pytest.mark.parametrize(("name", "told"), [("xl330", None), ("sts3302", "rename it sts3"), ("acme", "known servos")])
 def test_a_servo_of_which_nothing_is_known_is_told(name, told):
     """Its law and units are guesses then; the nearest name is named."""
     found = [one for one in examine(bench_log(servo=name)) if one.check == "unknown servo"]

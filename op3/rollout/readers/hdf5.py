@@ -1,4 +1,4 @@
-"""HDF5 with arrays [time, joint] by name: episodes as ALOHA records them, and others of that kind.
+"""HDF5 with arrays [time, joint] by name: episodes as ALOHA records, and others of that kind.
 
 Groups that are numbered, such as `demo_0`, are recordings of their own. Of arrays of one name in other groups, those of
 a leader are targets, and the rest keep the group in their name. Joints are named by what the file says, else as ALOHA's
@@ -60,7 +60,7 @@ def _recording(content: dict[str, np.ndarray], about: dict[str, Any], name: str,
         rate = next((float(about[n]) for n in ("fps", "rate", "hz") if _positive(about.get(n))), 0.0)
         if not rate:
             rate = _RATE
-            problem = f"no times are in the file, and {_RATE:g} rows per second are assumed, as ALOHA records them"
+            problem = f"the file has no times, so {_RATE:g} rows per second are assumed, as ALOHA records"
             remedy = "save `time` [s], or an attribute `fps`"
             doubts.append(LogFinding(WARNING, problem, remedy, "time", check="times"))
         time = np.arange(rows) / rate

@@ -82,7 +82,7 @@ class LeRobot:
         about = fps | dict(robot="real", mount="stand", extra={"lerobot": kind})
         if _WRITES_GAIN.search(kind.lower()):
             about["firmware_gain"] = _GAIN
-            problem = f"LeRobot writes a gain of {_GAIN:g} to the servos of {kind}, which is assumed here"
+            problem = f"a gain of {_GAIN:g} is assumed, which LeRobot writes to the servos of {kind}"
             remedy = "write `firmware_gain:` into its YAML if another was set"
             doubts.append(LogFinding(WARNING, problem, remedy, "field firmware_gain", check="gain of LeRobot"))
         recordings = []

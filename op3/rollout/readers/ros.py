@@ -93,7 +93,7 @@ class Ros:
             names = getattr(message, "name", getattr(message, "joint_names", ()))
             if len(set(names)) < len(names):
                 twice = next(one for one in names if list(names).count(one) > 1)
-                problem = f"{name} names {twice} twice in one message"
+                problem = f"{name} has the joint {twice} twice in one message"
                 raise LogError(problem, "give every joint a unique name where it is published", source=path)
             stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
             for told, points in _samples(name, kind, message):
