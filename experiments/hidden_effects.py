@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden_bench.bench import draw_mix, read_cost, run_all
 from hidden_bench.naming_page import naming_page
 from hidden_bench.score import BenchVerdict, random_name, read_verdict, score_case, summarise
 from omegaconf import DictConfig, OmegaConf
@@ -24,7 +25,7 @@ from op3.apps.job import goes_on
 from op3.command_line import launch
 from op3.report import run_provenance, write_result
 from op3.stand_in import CATALOGUE, Case, make_case, open_answers
-from op3.stand_in.bench import commit, draw_mix, read_cost, run_all
+from op3.stand_in.cases import commit
 from op3.stand_in.world import read_ranges
 
 INTERRUPTED = goes_on("cases")

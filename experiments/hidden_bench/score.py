@@ -160,7 +160,7 @@ def score_case(
     Args:
         answer: what was hidden.
         verdict: of the diagnosis.
-        cost: of the diagnosis, as `op3.stand_in.processes.Cost`.
+        cost: of the diagnosis, as `hidden_bench.bench.Cost`.
 
     Returns:
         `exact`: the most probable name is hidden, in its joints; `name`, `joints`: the one and the other alone (joints

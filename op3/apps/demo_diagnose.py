@@ -22,7 +22,7 @@ from op3.apps.progress import ProgressLine
 from op3.common.plain_names import words
 from op3.report.tables import in_thousandths, span
 from op3.stand_in import KINDS, Case, draw_case, open_answers, record_case
-from op3.stand_in.bench import commit
+from op3.stand_in.cases import commit
 from op3.stand_in.suites import SETTINGS
 
 

@@ -328,6 +328,26 @@ def seal(answers: str | Path) -> Path:
     return path
 
 
+def commit(cases: Sequence[Case], answers: str | Path) -> Path:
+    """Write and seal all answers; those sealed before must be the same to the byte.
+
+    Raises:
+        ValueError: if the folder holds answers of another bench.
+    """
+    answers = Path(answers)
+    for case in cases:
+        write_answer(case, answers)
+    sealed = answers / SEAL_FILE
+    before = sealed.read_text(encoding="utf-8") if sealed.is_file() else None
+    if before is not None and {line[66:] for line in before.splitlines()} != {f"{case.name}.yaml" for case in cases}:
+        raise ValueError(f"{answers} holds the answers of another bench; take another folder")
+    path = seal(answers)
+    if before is not None and path.read_text(encoding="utf-8") != before:
+        path.write_text(before, encoding="utf-8")
+        raise ValueError(f"an answer in {answers} is not the one that was sealed; take another folder")
+    return path
+
+
 def open_answers(answers: str | Path, commitment: str | Path | None = None) -> dict[str, dict[str, Any]]:
     """Read answers whose hashes agree with what was published.
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from experiments.hidden_bench.bench import draw_mix
 from op3.common.assets import named_configs
 from op3.report import read_result
-from op3.stand_in.bench import draw_mix
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from experiments.hidden_bench.bench import COST_FILE, draw_mix, read_cost, run_all, run_case, run_command
 from op3.motions import leg_suite
-from op3.stand_in.bench import COST_FILE, commit, draw_mix, read_cost, run_all, run_case
-from op3.stand_in.cases import TEST_SEEDS, answer_bytes, draw_case
-from op3.stand_in.processes import run_command
+from op3.stand_in.cases import TEST_SEEDS, answer_bytes, commit, draw_case
 from op3.stand_in.suites import SETTINGS, Setting
 
 MIX = {

@@ -1,24 +1,29 @@
-"""A bench of many cases: the mix, the sealed answers, and the diagnosis as another process."""
+"""A bench of many cases: the mix, and the diagnosis as another process."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from op3.stand_in.cases import DATA_FOLDER, SEAL_FILE, TEST_SEEDS, Case, draw_case, make_case, seal, write_answer
+from op3.stand_in.cases import DATA_FOLDER, TEST_SEEDS, Case, draw_case, make_case
 from op3.stand_in.hidden import CATALOGUE, OUTSIDERS, SEVERITIES
-from op3.stand_in.processes import run_command
 from op3.stand_in.world import BENCH_RANGES, Ranges
 
 VERDICT_FILE = "verdict.yaml"
 LOG_FILE = "diagnose.log"
 COST_FILE = "cost.yaml"
+GRACE = 10.0
+"""Time that a stopped process has to end by itself [s]."""
+
 SETS: tuple[str, ...] = ("development", "test")
 """Sets of cases with separate seeds; constants are chosen on the first, the second is opened once per release."""
 
@@ -57,24 +62,44 @@ def draw_mix(
     return sorted(cases, key=lambda case: case.name)
 
 
-def commit(cases: Sequence[Case], answers: str | Path) -> Path:
-    """Write and seal all answers; those sealed before must be the same to the byte.
+@dataclass(frozen=True)
+class Cost:
+    """What a process has used, with those that it started and waited for.
 
-    Raises:
-        ValueError: if the folder holds answers of another bench.
+    Attributes:
+        seconds: wall time [s].
+        processor_seconds: processor time [s].
+        peak_memory: largest resident set of one process [bytes].
     """
-    answers = Path(answers)
-    for case in cases:
-        write_answer(case, answers)
-    sealed = answers / SEAL_FILE
-    before = sealed.read_text(encoding="utf-8") if sealed.is_file() else None
-    if before is not None and {line[66:] for line in before.splitlines()} != {f"{case.name}.yaml" for case in cases}:
-        raise ValueError(f"{answers} holds the answers of another bench; take another folder")
-    path = seal(answers)
-    if before is not None and path.read_text(encoding="utf-8") != before:
-        path.write_text(before, encoding="utf-8")
-        raise ValueError(f"an answer in {answers} is not the one that was sealed; take another folder")
-    return path
+
+    seconds: float
+    processor_seconds: float
+    peak_memory: int
+
+
+def run_command(command: Sequence[str], log: Path, timeout: float) -> Cost:
+    """Run a command to its end or for `timeout` [s], with all processes that it starts.
+
+    Args:
+        command: program and arguments.
+        log: file for what it prints.
+        timeout: [s].
+    """
+    begin = time.monotonic()
+    limited = ["timeout", f"--kill-after={GRACE:g}", f"{timeout:g}", *command]
+    with log.open("w", encoding="utf-8") as out:
+        process = subprocess.Popen(limited, stdout=out, stderr=subprocess.STDOUT)
+        try:
+            _, status, usage = os.wait4(process.pid, 0)
+        except KeyboardInterrupt:
+            process.terminate()  # which `timeout` passes on
+            raise
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode in (124, 137, -9):  # of `timeout`, once it has stopped the command
+        with log.open("a", encoding="utf-8") as out:
+            out.write(f"\nstopped after {timeout:g} s\n")
+    # Linux counts the resident set in kilobytes
+    return Cost(time.monotonic() - begin, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
 
 
 def run_case(
