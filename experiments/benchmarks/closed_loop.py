@@ -24,7 +24,7 @@ import torch
 import yaml
 
 from op3.diagnose import Diagnosis, split_logs
-from op3.diagnose.base import settle
+from op3.diagnose.base import gauss_newton
 from op3.diagnose.findings import Search
 from op3.diagnose.naming import NamingStage, Proposal
 from op3.motions import Excitation, Motion, leg_suite
@@ -118,14 +118,14 @@ def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> Ro
     names = search.reduction.engine.joints
     place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
     odds = stage.judge.scores(stage.fit)
-    there = [i for i, one in enumerate(stage.found) if one.place == place]
+    there = [i for i, one in enumerate(stage.candidates) if one.hypothesis == place]
     if not there:
         return None
     number = max(there, key=lambda i: float(odds[i]))
-    with_it, alone = (stage.judge.fit(named, stage.fit.state, rounds=2) for named in ([number], []))
+    with_it, alone = (stage.judge.fit(named, stage.fit.variances, rounds=2) for named in ([number], []))
     step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
-    best = search.refitted(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.state)])[0][0].base
-    return settle(search.reduction, best.coordinates, best.point, state=best.fit.state).model
+    best = search.refitted(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.variances)])[0][0].base
+    return gauss_newton(search.reduction, best.coordinates, best.point, variances=best.fit.variances).model
 
 
 def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list[list[float]]:

@@ -1,81 +1,126 @@
-"""What logs can tell at all: how large an effect must be to be named, and which effects look alike."""
+"""What logs can show: the smallest size at which an effect would be proposed, and effects with the same signature."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from op3.diagnose.base import base_numbers
-from op3.diagnose.diagnosis import Diagnosis
-from op3.diagnose.findings import ALIKE
-from op3.diagnose.judge import Judge
-from op3.diagnose.naming import NamingStage
+from op3.diagnose.base import step_priors
+from op3.diagnose.candidates import Hypothesis
+from op3.diagnose.judge import evidence
+from op3.diagnose.naming import SIMILAR, NamingStage
 from op3.diagnose.verdict import separating
-from op3.diagnose.visibility import size_of, smallest_sizes
+from op3.servo.effect import parameter
+
+if TYPE_CHECKING:  # which itself reports what its logs do not show
+    from op3.diagnose.diagnosis import Diagnosis
+
+SIZES = np.geomspace(0.02, 20.0, 60)
+"""Numerical: shares of a secant that are compared."""
 
 VISIBLE = 0.3
-"""Share of an effect that the base must leave for it to be seen."""
+"""Display: smallest share of an effect's signature that the baseline does not absorb for the effect to be visible."""
 
 
-def aliasing(diagnosis: Diagnosis, most: int = 60, *, planned: bool = False) -> dict[str, Any]:
-    """Visibility of every effect in every place, and pairs that look alike once the base has had its say.
+def smallest_sizes(stage: NamingStage) -> np.ndarray:
+    """Smallest share of each candidate's secant at which its expected log odds reach the alarm, ``[candidate]``;
+    infinite if no plausible size does."""
+    priors, settings = stage.judge.priors, stage.judge.settings
+    _, curvature = stage.judge.likelihood_terms(stage.fit)
+    result = np.full(len(stage.candidates), np.inf)
+    for size in SIZES[::-1]:
+        share = np.where(priors.high > 0, size, -size)
+        odds = evidence(curvature * share, curvature, 0.0, priors.slab, priors.low, priors.high) + priors.log_prior
+        proposed = (odds > settings.alarm) & (share <= priors.high) & (share >= priors.low)
+        result = np.where(proposed, size, result)
+    return result
+
+
+def not_shown(stage: NamingStage, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Effects that would not be proposed at any plausible size, with the joints to which this applies; an empty list
+    for effects of all joints."""
+    visible: dict[Hypothesis, bool] = {}
+    for candidate, share in zip(stage.candidates, smallest_sizes(stage), strict=True):
+        visible[candidate.hypothesis] = visible.get(candidate.hypothesis, False) or bool(np.isfinite(share))
+    result: dict[str, list[str]] = {}
+    for (name, columns), is_visible in visible.items():
+        if not is_visible and (columns is None or len(columns) == 1):
+            result.setdefault(name, []).extend([] if columns is None else [joints[columns[0]]])
+    return result
+
+
+def aliasing(diagnosis: "Diagnosis", most: int = 60, *, planned: bool = False) -> dict[str, Any]:
+    """Visibility of every effect in every set of joints, and pairs of effects with similar signatures after the
+    baseline's parameters are projected out.
 
     Args:
-        diagnosis: not run yet; its base is fitted and the catalogue's columns made.
+        diagnosis: not run yet; its baseline is fitted and the columns of the catalogue are computed.
+        most: largest number of pairs.
         planned: whether the logs were simulated by the model, which is then not fitted.
 
     Returns:
-        ``sentence``; by effect and joint ``visibility`` and ``smallest``, the size from which on it would be named
-        (None if no plausible one would); ``hidden``, those below `VISIBLE`, and ``show_by``, the experiment of the
-        catalogue that shows each; ``alike``, pairs with their cosine and what would separate them, most alike first.
+        ``sentence``; by effect and joint ``visibility`` and ``smallest``, the size at which it would be proposed (None
+        if there is no plausible one); ``hidden``, those below `VISIBLE`, and ``show_by``, the experiment of the
+        catalogue that shows each; ``alike``, pairs with their cosine and the experiment that separates them, the most
+        similar first.
     """
     stage = diagnosis.first_stage(fitted=not planned)
-    joints, own = diagnosis.split.fit[0].joints, len(stage.base.point)
-    left, whole = _left_by_base(stage.judge, stage, own)
-    strength = np.sqrt(np.maximum(np.diag(left), 0.0))
-    visibility = strength / np.sqrt(np.maximum(np.diag(whole), 1e-12))
+    joints = diagnosis.split.fit[0].joints
+    projected, full = _products(stage)
+    strength = np.sqrt(np.maximum(np.diag(projected), 0.0))
+    visibility = strength / np.sqrt(np.maximum(np.diag(full), 1e-12))
     smallest = smallest_sizes(stage)
     best: dict[str, int] = {}
-    for i, one in enumerate(stage.found):
-        label = one.label(joints)
+    for i, candidate in enumerate(stage.candidates):
+        label = candidate.label(joints)
         if label not in best or strength[i] > strength[best[label]]:
             best[label] = i
     hidden = sorted(label for label, i in best.items() if visibility[i] < VISIBLE)
-    effects = {label: stage.found[i].effect for label, i in best.items()}
-    pairs, count = _pairs(best, left, strength, effects, most)
+    effects = {label: stage.candidates[i].effect for label, i in best.items()}
+    pairs, count = _pairs(best, projected, strength, effects, most)
     return {
         "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects, each in its joints;"
         f" {count} pairs of effects cannot be distinguished.",
         "visibility": {label: round(float(visibility[i]), 3) for label, i in best.items()},
-        "smallest": {label: size_of(stage, i, smallest[i]) for label, i in best.items()},
+        "smallest": {label: _size(stage, i, smallest[i]) for label, i in best.items()},
         "hidden": hidden,
         "show_by": {label: effects[label].separating_experiment for label in hidden},
         "alike": pairs,
     }
 
 
-def _left_by_base(judge: Judge, stage: NamingStage, own: int) -> tuple[np.ndarray, np.ndarray]:
-    """Products of the candidates' columns that the base does not imitate, and all of them."""
-    products = judge.products(stage.fit.state)
-    prior = 1.0 / base_numbers(stage.base.coordinates, stage.base.point).deviation ** 2
-    sums = judge.sums(range(len(judge.numbers.members)))[own:]
-    inner, across = products[:own, :own] + np.diag(prior), products[:own, own:] @ sums
-    whole = sums.T @ products[own:, own:] @ sums
-    return whole - across.T @ np.linalg.solve(inner, across), whole
+def _size(stage: NamingStage, index: int, share: float) -> dict[str, Any] | None:
+    """The size of a candidate at a share of its secant; None if infinite."""
+    candidate = stage.candidates[index]
+    size = float(f"{abs(share * candidate.secant[candidate.size_parameter]):.3g}")
+    return {"size": size, "unit": parameter(candidate.size_parameter).unit} if np.isfinite(share) else None
+
+
+def _products(stage: NamingStage) -> tuple[np.ndarray, np.ndarray]:
+    """Products of the candidates' columns after the baseline is projected out, and of the full columns."""
+    judge, size = stage.judge, len(stage.base.point)
+    gram = judge.gram(stage.fit.variances)
+    prior = 1.0 / step_priors(stage.base.coordinates, stage.base.point).deviation ** 2
+    membership = judge.membership(range(len(judge.priors.members)))[size:]
+    inner, across = gram[:size, :size] + np.diag(prior), gram[:size, size:] @ membership
+    full = membership.T @ gram[size:, size:] @ membership
+    return full - across.T @ np.linalg.solve(inner, across), full
 
 
 def _pairs(
-    best: Mapping[str, int], left: np.ndarray, strength: np.ndarray, effects: Mapping[str, Any], most: int
+    best: Mapping[str, int], projected: np.ndarray, strength: np.ndarray, effects: Mapping[str, Any], most: int
 ) -> tuple[list[dict[str, Any]], int]:
-    """Pairs of seen effects by how alike they are, and how many there are."""
+    """Pairs of visible effects, the most similar first, and the number of similar pairs."""
     labels = [label for label, i in best.items() if strength[i] > 0]
-    at = [best[label] for label in labels]
-    cosine = left[np.ix_(at, at)] / np.outer(strength[at], strength[at])
+    indices = [best[label] for label in labels]
+    cosine = projected[np.ix_(indices, indices)] / np.outer(strength[indices], strength[indices])
     first, second = np.triu_indices(len(labels), 1)
     size = np.abs(cosine[first, second])
-    count, pairs = int((size >= ALIKE).sum()), []
+    count, pairs = int((size >= SIMILAR).sum()), []
     for i in np.argsort(-size)[: min(count, most)]:
         a, b = labels[first[i]], labels[second[i]]
-        apart = separating(effects[label].name for label in (a, b))
-        pairs.append({"effects": [a, b], "cosine": round(float(cosine[first[i], second[i]]), 3), "separate_by": apart})
+        experiment = separating(effects[label].name for label in (a, b))
+        pairs.append(
+            {"effects": [a, b], "cosine": round(float(cosine[first[i], second[i]]), 3), "separate_by": experiment}
+        )
     return pairs, count

@@ -1,4 +1,4 @@
-"""What could be missing: every effect of the catalogue, in every place where it can sit, as finite changes."""
+"""Candidates: every effect of the catalogue in every set of joints in which it can act, as finite changes."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,21 +13,24 @@ from op3.diagnose.judge_settings import Settings
 from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
 
-PLACES = {"shared": 0.5, "joint": 0.35, "pair": 0.1, "side": 0.05}
-"""How much more probable it is beforehand that a fault is of all joints, of one, of a mirror pair, or of a side."""
+SCOPE_PRIORS = {"shared": 0.5, "joint": 0.35, "pair": 0.1, "side": 0.05}
+"""Prior probabilities that a fault is in all joints, in one, in a mirror pair, or on one side."""
+
+Hypothesis = tuple[str, tuple[int, ...] | None]
+"""Effect and columns of its joints; None: all joints, or the whole robot."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One finite change of one effect in one place.
+    """One finite change of one effect in some joints.
 
     Attributes:
         effect: its class.
-        joints: columns in which it sits; None for all joints alike, or the whole robot.
-        scope: key of `PLACES`.
-        model: the base's model with the effect on, neutral.
-        secant: amounts by parameter name.
-        partner: those in the second joint of a pair, where an angle is at its mirror image; None: the same.
+        joints: columns of the joints; None: all joints with the same value, or the whole robot.
+        scope: key of `SCOPE_PRIORS`.
+        model: the baseline's model with the effect on, at its neutral values.
+        secant: changes by parameter name.
+        mirror_secant: changes in the second joint of a pair, whose angles are mirrored; None: the same.
     """
 
     effect: type[Effect]
@@ -35,38 +38,38 @@ class Candidate:
     scope: str
     model: RobotModel
     secant: Mapping[str, float]
-    partner: Mapping[str, float] | None = None
+    mirror_secant: Mapping[str, float] | None = None
 
     @property
-    def place(self) -> tuple[str, tuple[int, ...] | None]:
-        """Effect and joints: candidates of one place are secants, or forms, of one hypothesis."""
+    def hypothesis(self) -> Hypothesis:
+        """Effect and joints; its candidates are different secants, or forms of the law."""
         return self.effect.name, self.joints
 
     @property
-    def shape(self) -> tuple:
-        """Effect, secant and form: all but where it sits."""
-        return self._shaped(self.secant)
+    def variant(self) -> tuple:
+        """Effect, secant and form of the law."""
+        return self._variant(self.secant)
 
-    def _shaped(self, secant: Mapping[str, float]) -> tuple:
+    def _variant(self, secant: Mapping[str, float]) -> tuple:
         form = repr(self.model.effect(self.effect.name))
         return self.effect.name, tuple(sorted(secant.items())), form
 
     def secants(self) -> list[Mapping[str, float]]:
-        """Amounts in each of its joints."""
+        """Changes in each of its joints."""
         count = len(self.joints or ())
-        return [self.secant] * count if self.partner is None else [self.secant, self.partner]
+        return [self.secant] * count if self.mirror_secant is None else [self.secant, self.mirror_secant]
 
     @property
     def key(self) -> tuple:
-        """What tells it from every other, whatever the values of its model."""
-        return self.joints, self.shape
+        """Identifier, independent of the model's values."""
+        return self.joints, self.variant
 
     @property
-    def parts(self) -> tuple[tuple, ...]:
-        """Keys of what it is the sum of, to first order: of a pair or a side what it is in each of its joints."""
+    def components(self) -> tuple[tuple, ...]:
+        """Keys of the elementary candidates whose columns add up to its own: of a pair or a side one per joint."""
         if self.scope in ("pair", "side"):
             return tuple(
-                ((joint,), self._shaped(secant))
+                ((joint,), self._variant(secant))
                 for joint, secant in zip(self.joints or (), self.secants(), strict=True)
             )
         return (self.key,)
@@ -78,83 +81,82 @@ class Candidate:
         return f"{self.effect.name}@{'+'.join(names[j] for j in self.joints)}"
 
     @property
-    def sized(self) -> str:
-        """The parameter whose amount says how much of the effect there is."""
+    def size_parameter(self) -> str:
+        """Name of the parameter that is the effect's size."""
         return next((name for name in self.secant if parameter(name).neutral is not None), next(iter(self.secant)))
 
-    def moved(self, values: Mapping[str, Tensor], share: float = 1.0) -> dict[str, Tensor]:
-        """Parameters ``[1, joint]`` at a share of the secant, starting from those given."""
+    def applied(self, values: Mapping[str, Tensor], share: float = 1.0) -> dict[str, Tensor]:
+        """Parameters ``[1, joint]`` changed by a share of the secant."""
         result = {name: value.clone() for name, value in values.items()}
         for name, amount in self.secant.items():
-            known = parameter(name)
-            at = slice(None) if self.joints is None or not known.per_joint else list(self.joints)
-            if known.neutral is None:
-                result[name][:, at] = amount
+            p = parameter(name)
+            columns = slice(None) if self.joints is None or not p.per_joint else list(self.joints)
+            if p.neutral is None:
+                result[name][:, columns] = amount
             else:
-                result[name][:, at] += share * amount
-            result[name] = result[name].clamp(known.least, known.most)
+                result[name][:, columns] += share * amount
+            result[name] = result[name].clamp(p.least, p.most)
         return result
 
-    def reach(self, base: RobotModel, settings: Settings) -> tuple[float, float, float]:
-        """Lowest and highest plausible share of the secant, and the slab's standard deviation.
+    def size_range(self, base: RobotModel, settings: Settings) -> tuple[float, float, float]:
+        """Smallest and largest plausible share of the secant, and the standard deviation of the slab.
 
-        Plausible is what the catalogue's range says of a fault: more than a sound robot has, as far as physics allows;
-        of what the base has, too, a joint may have many times what the others have.
+        The range of a fault is the catalogue's range times `fault_factor`, within the physical limits. Of an effect
+        that the baseline includes, a joint may have several times the baseline's value.
         """
-        known = parameter(self.sized)
-        amount = self.secant[known.name]
-        span, neutral = known.high - known.low, known.neutral
+        p = parameter(self.size_parameter)
+        amount = self.secant[p.name]
+        span, neutral = p.high - p.low, p.neutral
         if self.effect.name in base.effect_names or neutral is None:
-            now = base.value(known.name) if known.name in base.parameters() else known.nominal
-            most = max(span, (WIDEST - 1) * now)
-            low, high, size = max(-span, known.least - now), min(most, known.most - now), span
+            value = base.value(p.name) if p.name in base.parameters() else p.nominal
+            largest = max(span, (WIDEST - 1) * value)
+            low, high, size = max(-span, p.least - value), min(largest, p.most - value), span
         else:
-            low = settings.faulty * (min(known.low, neutral) - neutral)
-            high = settings.faulty * (max(known.high, neutral) - neutral)
-            low, high = max(low, known.least - neutral), min(high, known.most - neutral)
-            size = max(known.high - neutral, neutral - known.low)
-        ends = sorted((low / amount, high / amount))
-        return ends[0], ends[1], settings.slab * size / abs(amount)
+            low = settings.fault_factor * (min(p.low, neutral) - neutral)
+            high = settings.fault_factor * (max(p.high, neutral) - neutral)
+            low, high = max(low, p.least - neutral), min(high, p.most - neutral)
+            size = max(p.high - neutral, neutral - p.low)
+        shares = sorted((low / amount, high / amount))
+        return shares[0], shares[1], settings.slab * size / abs(amount)
 
     def coordinates(
         self, model: RobotModel, base: Sequence[Coordinate], share: float, settings: Settings
     ) -> tuple[Coordinate, ...]:
-        """The numbers of a refit beside the base's: the effect's size in its joints, from a share of the secant on, and
-        its shape in each of them, from the secant's on, where the base has no such number of its own."""
-        low, high, deviation = self.reach(model, settings)
-        amount, at = self.secant[self.sized], self.joints if parameter(self.sized).per_joint else None
-        ends = sorted((low * amount, high * amount))
-        start = float(np.clip(share * amount, ends[0], ends[1]))
-        size = Coordinate(self.sized, at, ends[0], ends[1], start, 0.0, deviation * abs(amount), "add")
+        """The coordinates of a refit beside the baseline's: the effect's size, from a share of the secant, and the
+        parameters without a neutral value (shape), from the secant's values, where the baseline does not fit them."""
+        low, high, deviation = self.size_range(model, settings)
+        amount = self.secant[self.size_parameter]
+        joints = self.joints if parameter(self.size_parameter).per_joint else None
+        bounds = sorted((low * amount, high * amount))
+        start = float(np.clip(share * amount, bounds[0], bounds[1]))
+        size = Coordinate(self.size_parameter, joints, *bounds, start, 0.0, deviation * abs(amount), "add")
         shared = {entry.parameter for entry in base if entry.joints is None}
-        apart = [known for known in self.effect.parameters if known.neutral is None]
-        shape = [one for one in apart if one.name not in shared or (self.joints and one.per_joint)]
-        return size, *(one for known in shape for one in self._of_shape(known, model))
+        shape = [p for p in self.effect.parameters if p.neutral is None]
+        shape = [p for p in shape if p.name not in shared or (self.joints and p.per_joint)]
+        return size, *(coordinate for p in shape for coordinate in self._shape_coordinates(p, model))
 
-    def _of_shape(self, known: Parameter, model: RobotModel) -> Iterator[Coordinate]:
-        """A shape's numbers, which may be anything plausible; an angle turns once round."""
-        span = known.high - known.low
-        own = list(zip(((j,) for j in self.joints or ()), self.secants(), strict=True)) if known.per_joint else []
-        for place, secant in own or [(None, self.secant)]:
-            now = model.value(known.name) if known.name in model.parameters() else known.nominal
-            given = secant.get(known.name, now)
-            low, high = (
-                (given - pi, given + pi) if isclose(span, 2 * pi) else (min(known.low, given), max(known.high, given))
-            )
-            yield Coordinate(known.name, place, low, high, given, given, span)
+    def _shape_coordinates(self, p: Parameter, model: RobotModel) -> Iterator[Coordinate]:
+        """Coordinates of a shape parameter over its whole range; of an angle over one turn."""
+        span = p.high - p.low
+        by_joint = list(zip(((j,) for j in self.joints or ()), self.secants(), strict=True)) if p.per_joint else []
+        for joints, secant in by_joint or [(None, self.secant)]:
+            start = secant.get(p.name, model.value(p.name) if p.name in model.parameters() else p.nominal)
+            turn = isclose(span, 2 * pi)
+            low, high = (start - pi, start + pi) if turn else (min(p.low, start), max(p.high, start))
+            yield Coordinate(p.name, joints, low, high, start, start, span)
 
     def switched_on(self, base: RobotModel, names: Sequence[str]) -> RobotModel:
-        """The base with the effect on, neutral, and the shape that the secant says (such as a phase) in its place."""
+        """The baseline's model with the effect on, its size neutral and its shape that of the secant."""
         effect = self.model.effect(self.effect.name)
-        given = {p.name: self.model.estimate(p.name) for p in effect.parameters}
+        values = {p.name: self.model.estimate(p.name) for p in effect.parameters}
         if self.effect.name in base.effect_names:
-            given = {name: base.estimate(name) for name in given}
-        model = base.with_effect(effect, given)
-        where = {"": self.secant}
+            values = {name: base.estimate(name) for name in values}
+        model = base.with_effect(effect, values)
+        secants = {"": self.secant}
         if self.joints is not None:
-            where = {f"@joint={names[j]}": secant for j, secant in zip(self.joints, self.secants(), strict=True)}
+            secants = {f"@joint={names[j]}": secant for j, secant in zip(self.joints, self.secants(), strict=True)}
         shape = {name for name in self.secant if parameter(name).neutral is None}
-        return model.with_values({f"{name}{at}": secant[name] for at, secant in where.items() for name in shape})
+        return model.with_values({f"{name}{at}": secant[name] for at, secant in secants.items() for name in shape})
 
 
 def candidates(
@@ -164,81 +166,86 @@ def candidates(
     mirror: Mapping[str, tuple[str, int]],
     without: Sequence[str] = (),
 ) -> list[Candidate]:
-    """Every effect of the catalogue that logs of a robot with a held base could show, in every place.
+    """Every effect of the catalogue that logs of a robot with a held base could show, in all sets of joints.
 
-    Left out is what the base has as its own numbers: the chain of measurement, and for all joints alike what it fits;
-    and effects `without` which it has to do.
+    What the baseline fits is no candidate: the measurement chain, and shared values of its own effects.
+
+    Args:
+        model: the baseline's model.
+        joints: joint names.
+        moving: which joints move.
+        mirror: joint on the other side and sign of its angle, by joint.
+        without: effects that are not considered.
     """
-    found: list[Candidate] = []
+    result: list[Candidate] = []
     for name, effect in catalogue().items():
-        if not _possible(effect, model) or name in without:
+        if not _observable(effect, model) or name in without:
             continue
         if effect.both_sides and not mirror_pairs(joints, moving, mirror):
             continue
         on = name in model.effect_names
         neutral = {p.name: p.nominal if p.neutral is None else p.neutral for p in effect.parameters}
-        with_it = model if on else model.with_effect(effect(), neutral)
-        forms = [with_it, *([] if on else other_forms(with_it, lambda other, mine=effect: other is mine))]
-        for variant in forms:
-            for secant in _own(effect, on):
-                for scope, place in _places(model, effect, joints, moving, mirror):
-                    sign = mirror[joints[place[0]]][1] if scope == "pair" and place else 1
-                    partner = _mirrored(effect, secant) if sign < 0 else None
-                    found.append(Candidate(effect, place, scope, variant, secant, partner))
-    return found
+        with_effect = model if on else model.with_effect(effect(), neutral)
+        forms = [with_effect, *([] if on else other_forms(with_effect, lambda other, effect=effect: other is effect))]
+        for form in forms:
+            for secant in _secants(effect, on):
+                for scope, columns in _scopes(model, effect, joints, moving, mirror):
+                    sign = mirror[joints[columns[0]]][1] if scope == "pair" and columns else 1
+                    mirror_secant = _mirrored(effect, secant) if sign < 0 else None
+                    result.append(Candidate(effect, columns, scope, form, secant, mirror_secant))
+    return result
 
 
-def _possible(effect: type[Effect], model: RobotModel) -> bool:
-    """Whether a robot with a held base and this drive could show it, and the base does not have it as a number."""
+def _observable(effect: type[Effect], model: RobotModel) -> bool:
+    """Whether a robot with a held base and this drive could show an effect."""
     if not effect.secants or not effect.foreseeable or effect.free_base:
         return False
     if any(e.target in ("base_body", "ground_geom", "option") for e in effect.edits):
         return False
     regulated = "current_pd" in model.effect_names
-    asks = set(effect.commands)
-    return not asks & ({"firmware_gain"} if regulated else {"p_gain", "d_gain"})
+    return not set(effect.commands) & ({"firmware_gain"} if regulated else {"p_gain", "d_gain"})
 
 
-def _own(effect: type[Effect], on: bool) -> list[dict[str, float]]:
-    """Secants without parameters of other effects, which the base refits; of an effect that is on its shape stays."""
-    own = {p.name for p in effect.parameters if not (on and p.neutral is None)}
-    kept: list[dict[str, float]] = []
-    for secant in effect.secants:
-        mine = {name: amount for name, amount in secant.items() if name in own}
-        if mine not in kept and any(parameter(name).neutral is not None for name in mine):
-            kept.append(mine)
-    return kept
+def _secants(effect: type[Effect], on: bool) -> list[dict[str, float]]:
+    """An effect's secants without parameters of other effects, and without its shape if the model includes it."""
+    names = {p.name for p in effect.parameters if not (on and p.neutral is None)}
+    result: list[dict[str, float]] = []
+    for full in effect.secants:
+        secant = {name: amount for name, amount in full.items() if name in names}
+        if secant not in result and any(parameter(name).neutral is not None for name in secant):
+            result.append(secant)
+    return result
 
 
 def _mirrored(effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:
-    """That of the effect's secants with its angles at their mirror image."""
+    """The secant with each angle replaced by that of the effect's secants nearest to its mirror image."""
 
     def image(name: str, value: float) -> float:
         if not parameter(name).mirrored:
             return value
-        return min((one[name] for one in effect.secants), key=lambda other: abs(remainder(other + value, 2 * pi)))
+        return min((other[name] for other in effect.secants), key=lambda angle: abs(remainder(angle + value, 2 * pi)))
 
     return {name: image(name, value) for name, value in secant.items()}
 
 
-def _places(
+def _scopes(
     model: RobotModel,
     effect: type[Effect],
     joints: Sequence[str],
     moving: Sequence[bool],
     mirror: Mapping[str, tuple[str, int]],
 ) -> Iterator[tuple[str, tuple[int, ...] | None]]:
-    """Scopes and places in which an effect can sit."""
+    """Scopes and columns of the joints in which an effect can act."""
     of_motor = "motor" in model.effect_names and effect.name in ("torque_constant", "terminal_resistance")
     refitted = effect.name in model.effect_names or of_motor
     scopes = set(effect.scopes)
-    in_base = any(p.name in CHAIN for p in effect.parameters)
-    if scopes & {"shared", "robot"} and not refitted and not in_base:
+    in_chain = any(p.name in CHAIN for p in effect.parameters)
+    if scopes & {"shared", "robot"} and not refitted and not in_chain:
         yield "shared", None
     if not scopes & {"joint", "side"}:
         return
     if len(joints) == 1:
-        if not scopes & {"shared", "robot"} and not in_base:
+        if not scopes & {"shared", "robot"} and not in_chain:
             yield "shared", None
         return
     yield from (("joint", (j,)) for j in range(len(joints)) if moving[j])
@@ -251,27 +258,32 @@ def _places(
 def mirror_pairs(
     joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, tuple[str, int]]
 ) -> list[tuple[int, int]]:
-    """Columns of joints and their partners, each pair once, the alphabetically first side first."""
-    at = {joint: j for j, joint in enumerate(joints) if moving[j]}
-    pairs = {(joint, other) for joint in at if (other := mirror.get(joint, (joint, 1))[0]) in at and other > joint}
-    return sorted((at[first], at[second]) for first, second in pairs)
+    """Columns of moving joints and their mirror joints, each pair once, the alphabetically first side first."""
+    column = {joint: j for j, joint in enumerate(joints) if moving[j]}
+    pairs = {
+        (joint, other) for joint in column if (other := mirror.get(joint, (joint, 1))[0]) in column and other > joint
+    }
+    return sorted((column[first], column[second]) for first, second in pairs)
 
 
-def place_priors(found: Sequence[Candidate]) -> np.ndarray:
-    """Log prior of every candidate's place, ``[candidate]``; each number that a law has beyond its first halves it."""
-    places: dict[str, set] = {}
-    for one in found:
-        places.setdefault(one.scope, set()).add(one.joints)
-    numbers = [sum(p.neutral is not None for p in c.effect.parameters) for c in found]
-    return np.log([PLACES[c.scope] / len(places[c.scope]) for c in found]) - np.log(2.0) * (np.array(numbers) - 1)
+def log_priors(candidates: Sequence[Candidate]) -> np.ndarray:
+    """Log prior of each candidate's hypothesis, ``[candidate]``: that of its scope, divided by the number of its
+    sets of joints, and halved for every size parameter after the first."""
+    joints: dict[str, set] = {}
+    for candidate in candidates:
+        joints.setdefault(candidate.scope, set()).add(candidate.joints)
+    sizes = [sum(p.neutral is not None for p in c.effect.parameters) for c in candidates]
+    return np.log([SCOPE_PRIORS[c.scope] / len(joints[c.scope]) for c in candidates]) - np.log(2.0) * (
+        np.array(sizes) - 1
+    )
 
 
-def parts_of(found: Sequence[Candidate]) -> list[Candidate]:
+def elementary(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates that are no sums of others."""
-    return [one for one in found if one.parts == (one.key,)]
+    return [candidate for candidate in candidates if candidate.components == (candidate.key,)]
 
 
-def secants_of_place(found: Sequence[Candidate]) -> np.ndarray:
-    """How many secants of one effect are at each candidate's place, ``[candidate]``."""
-    count = Counter(one.place for one in found)
-    return np.array([count[one.place] for one in found])
+def secant_counts(candidates: Sequence[Candidate]) -> np.ndarray:
+    """Number of candidates of the same hypothesis, ``[candidate]``."""
+    count = Counter(candidate.hypothesis for candidate in candidates)
+    return np.array([count[candidate.hypothesis] for candidate in candidates])

@@ -1,4 +1,4 @@
-"""The numbers of the base: shared parameters, the spread of its servos, and the chain of measurement, with priors."""
+"""Parameters of the baseline fit with their priors: shared parameters, the spread between servos, measurement chain."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,44 +15,44 @@ from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia
 
 SPREAD_LIMIT = 3.0
-"""Standard deviations that a joint may differ in the base; what differs more is a fault, and a candidate."""
+"""Standard deviations by which a servo of a sound robot may differ; a larger difference must be explained by a
+candidate."""
 
 WIDEST = 10.0
-"""How many times smaller or larger than given a parameter may be that lies outside the catalogue's range. Our own
-choice: all hobby servos differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m at stall, ROBOTIS e-Manual), but what
-is given is that of one alike. A search begins so far below what is given."""
-
+"""Largest ratio between a fitted parameter outside the catalogue's range and its given value. Numerical: hobby servos
+differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m at stall, ROBOTIS e-Manual), but the given model describes a
+similar servo. The search starts at the lower end."""
 
 _USUAL = {name: usual for effect in catalogue().values() for name, usual in effect.usual.items()}
 
 CHAIN: Mapping[str, Usual] = {name: usual for name, usual in _USUAL.items() if not usual.bench}
-"""What is part of every baseline, whatever the given model holds."""
+"""Parameters of the measurement chain, which every baseline fit includes."""
 
 BENCH: Mapping[str, Usual] = {name: usual for name, usual in _USUAL.items() if usual.bench}
-"""What is part of every baseline of a bench."""
+"""Parameters that every baseline fit of a bench includes."""
 
 SPREAD: Mapping[str, float] = {name: share for e in catalogue().values() for name, share in e.spread.items()}
-"""By how much servos of one make differ, as a standard deviation relative to the shared value."""
+"""Standard deviation of parameters between servos of one make, relative to the shared value."""
 
-OWN: Mapping[str, float] = {name: usual.spread for name, usual in CHAIN.items() if usual.own}
-"""By how much they differ in numbers of the chain that each has for itself."""
+CHAIN_SPREAD: Mapping[str, float] = {name: usual.spread for name, usual in CHAIN.items() if usual.own}
+"""Standard deviation of the chain's parameters that each servo has separately, such as the zero of a current sensor."""
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One number of a fit.
+    """One fitted parameter.
 
     Attributes:
-        parameter: of the model.
-        joints: columns that it moves; None for all alike.
-        low: smallest value.
-        high: largest value.
-        start: where the fit starts.
-        prior: what it is expected to be.
-        deviation: standard deviation of that expectation.
-        kind: ``value``: it is the parameter. ``add``: it is added to the parameter of its joints. ``scale``: the
-            parameter of its joints is multiplied by one plus this.
-        tails: degrees of freedom of the expectation, Student's where they are finite and else normal.
+        parameter: name in the model.
+        joints: columns of the joints that it changes; None: all joints have the same value.
+        low: lower bound.
+        high: upper bound.
+        start: initial value.
+        prior: prior mean.
+        deviation: prior standard deviation.
+        kind: ``value``: the parameter itself. ``add``: an increment of the parameter in its joints. ``scale``: a
+            relative change of the parameter in its joints.
+        tails: degrees of freedom of a Student prior; infinite for a normal prior.
     """
 
     parameter: str
@@ -67,93 +67,94 @@ class Coordinate:
 
     @property
     def shared(self) -> bool:
-        """Whether it is a number of several joints."""
+        """Whether it applies to several joints."""
         return self.joints is None or len(self.joints) > 1
 
     @property
-    def of_servo(self) -> bool:
-        """Whether it says by how much one servo differs from the others."""
-        return self.joints is not None and (self.kind == "scale" or (self.kind == "value" and self.parameter in OWN))
+    def per_servo(self) -> bool:
+        """Whether it is the deviation of one servo from the others."""
+        scaled = self.kind == "scale" or (self.kind == "value" and self.parameter in CHAIN_SPREAD)
+        return self.joints is not None and scaled
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """An ordered set of numbers and how they become parameters of a model.
+    """The fitted parameters and how they set the parameters of a model.
 
     Attributes:
-        model: gives everything that is not moved.
+        model: the model, which supplies everything that is not fitted.
         joints: joint names.
-        entries: the numbers.
+        entries: the fitted parameters.
     """
 
     model: RobotModel
     joints: tuple[str, ...]
     entries: tuple[Coordinate, ...]
 
-    def _all(self, field: str) -> np.ndarray:
+    def _array(self, field: str) -> np.ndarray:
         return np.array([getattr(entry, field) for entry in self.entries])
 
-    start = property(lambda self: self._all("start"), doc="Where a fit starts, ``[coordinate]``.")
-    low = property(lambda self: self._all("low"), doc="Smallest values, ``[coordinate]``.")
-    high = property(lambda self: self._all("high"), doc="Largest values, ``[coordinate]``.")
-    prior = property(lambda self: self._all("prior"), doc="Expected values, ``[coordinate]``.")
-    deviation = property(lambda self: self._all("deviation"), doc="Standard deviations of these, ``[coordinate]``.")
+    start = property(lambda self: self._array("start"), doc="Initial values, ``[coordinate]``.")
+    low = property(lambda self: self._array("low"), doc="Lower bounds, ``[coordinate]``.")
+    high = property(lambda self: self._array("high"), doc="Upper bounds, ``[coordinate]``.")
+    prior = property(lambda self: self._array("prior"), doc="Prior means, ``[coordinate]``.")
+    deviation = property(lambda self: self._array("deviation"), doc="Prior standard deviations, ``[coordinate]``.")
 
     def penalties(self, points: np.ndarray) -> np.ndarray:
-        """Minus two log prior (but for constants) of points ``[candidate, coordinate]``."""
-        square, tails = np.square((points - self.prior) / self.deviation), self._all("tails")
-        heavy, result = np.isfinite(tails), square
-        result[..., heavy] = (tails[heavy] + 1) * np.log1p(square[..., heavy] / tails[heavy])
-        return result.sum(-1)
+        """-2 log prior of points ``[point, coordinate]``, without constants."""
+        penalty, tails = np.square((points - self.prior) / self.deviation), self._array("tails")
+        student = np.isfinite(tails)
+        penalty[..., student] = (tails[student] + 1) * np.log1p(penalty[..., student] / tails[student])
+        return penalty.sum(-1)
 
     def deviation_at(self, point: np.ndarray) -> np.ndarray:
-        """Standard deviations of the normal priors that pull at a point as much as the priors do, ``[coordinate]``."""
-        square, tails = np.square((point - self.prior) / self.deviation), self._all("tails")
-        heavy, result = np.isfinite(tails), self.deviation
-        result[heavy] *= np.sqrt((tails[heavy] + square[heavy]) / (tails[heavy] + 1))
-        return result
+        """Standard deviations of the normal priors with the same gradient at a point, ``[coordinate]``."""
+        square, tails = np.square((point - self.prior) / self.deviation), self._array("tails")
+        student, deviation = np.isfinite(tails), self.deviation
+        deviation[student] *= np.sqrt((tails[student] + square[student]) / (tails[student] + 1))
+        return deviation
 
     def values(self, points: np.ndarray) -> dict[str, Tensor]:
-        """Parameters by name, ``[candidate, joint]``, within what physics allows.
+        """Model parameters by name, ``[point, joint]``, clipped to their physical limits.
 
         Args:
-            points: ``[candidate, coordinate]``.
+            points: ``[point, coordinate]``.
         """
-        known, base = self.model.parameters(), self.model.tensors(self.joints)
+        parameters, tensors = self.model.parameters(), self.model.tensors(self.joints)
         result: dict[str, Tensor] = {}
-        moved = torch.from_numpy(np.ascontiguousarray(points, dtype=np.float64))
+        amounts = torch.from_numpy(np.ascontiguousarray(points, dtype=np.float64))
         for kind in ("value", "add", "scale"):
             for i, entry in enumerate(self.entries):
                 if entry.kind != kind:
                     continue
                 name = entry.parameter
                 if name not in result:
-                    whole = base[split_name(name)[0]]
-                    result[name] = whole.expand(len(points), whole.shape[1]).clone()
+                    tensor = tensors[split_name(name)[0]]
+                    result[name] = tensor.expand(len(points), tensor.shape[1]).clone()
                 columns = slice(None) if entry.joints is None else list(entry.joints)
-                column = moved[:, i : i + 1]
+                amount = amounts[:, i : i + 1]
                 if kind == "value":
-                    result[name][:, columns] = column
+                    result[name][:, columns] = amount
                 elif kind == "add":
-                    result[name][:, columns] += column
+                    result[name][:, columns] += amount
                 else:
-                    result[name][:, columns] *= 1.0 + column
-        limits = {name: known[split_name(name)[0]] for name in result}
+                    result[name][:, columns] *= 1.0 + amount
+        limits = {name: parameters[split_name(name)[0]] for name in result}
         return {name: value.clamp(limits[name].least, limits[name].most) for name, value in result.items()}
 
-    def extended(self, model: RobotModel, more: Sequence[Coordinate]) -> "Coordinates":
-        """These numbers and more, for a model with more effects."""
-        return Coordinates(model, self.joints, (*self.entries, *more))
+    def extended(self, model: RobotModel, entries: Sequence[Coordinate]) -> "Coordinates":
+        """These coordinates followed by further ones, for a model with more effects."""
+        return Coordinates(model, self.joints, (*self.entries, *entries))
 
 
 def with_chain(model: RobotModel) -> RobotModel:
-    """The model with the effects of the chain of measurement on, at what is usual.
+    """The model with all effects of the measurement chain on, at their usual values.
 
-    A servo with a position loop of its own has no current loop to lag, and its goal is what arrives late.
+    A servo with an internal position loop has no current lag, and its latency delays the goal instead of the current.
     """
     regulated = "current_pd" in model.effect_names
     for effect in catalogue().values():
-        usual = {known.name: CHAIN[known.name].value for known in effect.parameters if known.name in CHAIN}
+        usual = {p.name: CHAIN[p.name].value for p in effect.parameters if p.name in CHAIN}
         if not usual or effect.name in model.effect_names:
             continue
         if {"current_time_constant", "current_offset"} & set(usual) and not regulated:
@@ -164,20 +165,19 @@ def with_chain(model: RobotModel) -> RobotModel:
 
 
 def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
-    """The model with the extent of a bench's weight, and a zero of the encoder for each arm: each is mounted anew."""
+    """The model with the inertia of a bench's weight, and one encoder offset per arm, as each arm is mounted anew."""
     if lengths and "link_inertia" not in model.effect_names:
-        model = model.with_effect(LinkInertia(), {name: chain.value for name, chain in BENCH.items()})
+        model = model.with_effect(LinkInertia(), {name: usual.value for name, usual in BENCH.items()})
     if "encoder_offset" not in model.effect_names or len(set(lengths)) < 2:
         return model
-    zero = model.value("encoder_offset")
     names = [f"encoder_offset@{Condition('length', length)}" for length in sorted(set(lengths))]
-    return model.with_values(dict.fromkeys(names, zero))
+    return model.with_values(dict.fromkeys(names, model.value("encoder_offset")))
 
 
-def other_forms(model: RobotModel, chosen: Callable[[type[Effect]], bool] = lambda effect: True) -> list[RobotModel]:
-    """The model with its effects, or chosen ones, in every other combination of ways to write their laws."""
+def other_forms(model: RobotModel, selected: Callable[[type[Effect]], bool] = lambda effect: True) -> list[RobotModel]:
+    """The model with every other combination of the forms of its laws, or of those of the selected effects."""
     result = [model]
-    for effect in (one for one in model.effects if chosen(type(one))):
+    for effect in (effect for effect in model.effects if selected(type(effect))):
         values = {p.name: model.estimate(p.name) for p in effect.parameters}
         for option, forms in effect.written.items():
             others = [replace(effect, **{option: form}) for form in forms if form != getattr(effect, option)]  # type: ignore[type-var]
@@ -191,138 +191,140 @@ def base_coordinates(
     moving: Sequence[bool] | None = None,
     priors: Mapping[str, Usual] = CHAIN,
 ) -> Coordinates:
-    """What is fitted before and beside every finding: the model's own parameters, the servos' spread, and the chain.
+    """The coordinates of a baseline fit: the model's parameters, the spread between servos, the measurement chain.
 
-    A forward efficiency of a current-driven servo is left out: it cannot be told from the torque constant. So are
-    masses of a base that is held, and the firmware's gain, which is known.
+    Not fitted are the forward efficiency of a current-driven servo, which is not distinguishable from the torque
+    constant, masses of a base that is held, and the firmware gain, which is known.
 
     Args:
-        model: whose parameters, with its chain.
+        model: the model with its measurement chain.
         joints: joint names.
-        moving: which of them move; the others have no numbers of their own.
-        priors: numbers of which it is known what they are expected to be.
+        moving: which joints move; the others get no coordinates of their own.
+        priors: prior by parameter name, where one exists.
     """
     moving = [True] * len(joints) if moving is None else moving
     drive = next((getattr(e, "drive", "current") for e in model.effects if e.name == "motor"), "current")
     entries: list[Coordinate] = []
     for effect in model.effects:
         held = bool(effect.edits) and all(edit.target == "base_body" for edit in effect.edits)
-        for known in effect.parameters:
-            if held or known.name == "controller_gain" or (known.name == "forward_efficiency" and drive == "current"):
+        for p in effect.parameters:
+            if held or p.name == "controller_gain" or (p.name == "forward_efficiency" and drive == "current"):
                 continue
-            if known.name in priors:
-                entries.extend(_chain(known, priors[known.name], joints, moving))
+            if p.name in priors:
+                entries.extend(_with_prior(p, priors[p.name], joints, moving))
                 continue
-            own = model.tensors(joints)[known.name][0].numpy()
-            if np.ptp(own) > 1e-12:
-                entries.extend(_together(known, own))
+            values = model.tensors(joints)[p.name][0].numpy()
+            if np.ptp(values) > 1e-12:
+                entries.extend(_common_factor(p, values))
                 continue
-            start = float(own[0])
-            low, high = _range(known, start)
-            span, special = high - low, model.estimate(known.name).by
-            for condition, one in special.items():
-                at, name = one.value, f"{known.name}@{condition}"
-                entries.append(Coordinate(name, None, at - span, at + span, at, at, span))
-            if not special:  # else each set-up has its own
-                entries.append(Coordinate(known.name, None, low, high, start, start, span))
+            start = float(values[0])
+            low, high = _bounds(p, start)
+            span, by_condition = high - low, model.estimate(p.name).by
+            for condition, estimate in by_condition.items():
+                value, name = estimate.value, f"{p.name}@{condition}"
+                entries.append(Coordinate(name, None, value - span, value + span, value, value, span))
+            if not by_condition:
+                entries.append(Coordinate(p.name, None, low, high, start, start, span))
     for name, deviation in SPREAD.items() if len(joints) > 1 else ():
         if any(entry.parameter == name for entry in entries):
             reach = SPREAD_LIMIT * deviation
-            own_places = [(j,) for j in range(len(joints)) if moving[j]]
-            entries += [Coordinate(name, at, -reach, reach, 0.0, 0.0, deviation, "scale") for at in own_places]
+            columns = [(j,) for j in range(len(joints)) if moving[j]]
+            entries += [Coordinate(name, column, -reach, reach, 0.0, 0.0, deviation, "scale") for column in columns]
     return Coordinates(model, tuple(joints), tuple(entries))
 
 
-def own_spread(values: np.ndarray, deviations: np.ndarray, usual: float, settings: Settings) -> float:
-    """How much the servos of this robot differ, as a standard deviation: what any make may have hides a fault.
+def robust_spread(values: np.ndarray, deviations: np.ndarray, usual: float, settings: Settings) -> float:
+    """Standard deviation between the servos of this robot: the typical spread of any make would hide a fault.
 
-    The median is what most servos have, whatever one of them does. What the logs do not tell of them may differ too.
+    A median, which one faulty servo does not change, combined with a log-normal prior about the usual spread.
 
     Args:
-        values: their numbers, ``[servo]``.
-        deviations: standard deviations of these, ``[servo]``.
-        usual: what servos of one make usually differ by.
+        values: values of the servos, ``[servo]``.
+        deviations: their posterior standard deviations, which count as possible differences, ``[servo]``.
+        usual: usual spread between servos of one make.
     """
-    apart = np.sqrt(np.median(np.square((values - np.median(values)) / norm.ppf(0.75)) + np.square(deviations)))
-    weight = 1 / settings.law_spread**2
-    return float(np.exp((len(values) * np.log(apart) + weight * np.log(usual)) / (len(values) + weight)))
+    spread = np.sqrt(np.median(np.square((values - np.median(values)) / norm.ppf(0.75)) + np.square(deviations)))
+    weight = 1 / settings.unmodelled_spread**2
+    return float(np.exp((len(values) * np.log(spread) + weight * np.log(usual)) / (len(values) + weight)))
 
 
-def with_own_spread(
+def with_robot_spread(
     coordinates: Coordinates, point: np.ndarray, deviations: np.ndarray, settings: Settings
 ) -> tuple[Coordinates, np.ndarray]:
-    """Expectations of servos that differ as this robot's do.
+    """The coordinates with priors of this robot's spread between servos, and the point that describes the same model.
 
-    What they have in common goes to the shared number if there is one, so that the point ``[coordinate]`` is handed
-    back too, as the same base; `deviations` are the standard deviations of its numbers.
+    The median of the servos' deviations is moved to the shared parameter.
+
+    Args:
+        point: fitted values, ``[coordinate]``.
+        deviations: their posterior standard deviations, ``[coordinate]``.
     """
     entries, point = list(coordinates.entries), point.copy()
-    for name, usual in {**SPREAD, **OWN}.items():
-        mine = [i for i, entry in enumerate(entries) if entry.parameter == name]
-        own = [i for i in mine if entries[i].of_servo]
-        if not own:
+    for name, usual in {**SPREAD, **CHAIN_SPREAD}.items():
+        indices = [i for i, entry in enumerate(entries) if entry.parameter == name]
+        servos = [i for i in indices if entries[i].per_servo]
+        if not servos:
             continue
-        middle = 0.0 if name in OWN else float(np.median(point[own]))
-        deviation = own_spread(point[own], deviations[own], usual, settings)
-        for i in own:
+        median = 0.0 if name in CHAIN_SPREAD else float(np.median(point[servos]))
+        deviation = robust_spread(point[servos], deviations[servos], usual, settings)
+        for i in servos:
             entries[i] = replace(entries[i], deviation=deviation)
-        point[own] = (1 + point[own]) / (1 + middle) - 1
-        for i in (i for i in mine if entries[i].joints is None):
-            one = 0.0 if entries[i].kind == "value" else 1.0  # a factor is told as what it adds to 1
-            point[i] = (one + point[i]) * (1 + middle) - one
+        point[servos] = (1 + point[servos]) / (1 + median) - 1
+        for i in (i for i in indices if entries[i].joints is None):
+            unit = 0.0 if entries[i].kind == "value" else 1.0  # a scale of 0 is a factor of 1
+            point[i] = (unit + point[i]) * (1 + median) - unit
     return replace(coordinates, entries=tuple(entries)), point
 
 
-def any_spread(coordinates: Coordinates, tails: float) -> Coordinates:
-    """Numbers of which one servo's may be far from what the others' are, so that it does not move what all share.
+def with_student_spread(coordinates: Coordinates, tails: float) -> Coordinates:
+    """Student priors and wide bounds for the deviations of servos, so that a faulty servo does not move shared values.
 
     Args:
-        tails: degrees of freedom of Student's expectation.
+        tails: degrees of freedom.
     """
 
-    def free(entry: Coordinate) -> Coordinate:
-        ends = (1 / WIDEST - 1, WIDEST - 1) if entry.kind == "scale" else (entry.low, entry.high)
-        return replace(entry, low=ends[0], high=ends[1], tails=tails) if entry.of_servo else entry
+    def student(entry: Coordinate) -> Coordinate:
+        low, high = (1 / WIDEST - 1, WIDEST - 1) if entry.kind == "scale" else (entry.low, entry.high)
+        return replace(entry, low=low, high=high, tails=tails) if entry.per_servo else entry
 
-    return replace(coordinates, entries=tuple(map(free, coordinates.entries)))
-
-
-def usual_spread(coordinates: Coordinates) -> Coordinates:
-    """Numbers of servos that differ as those of a sound robot do: what differs more is a fault."""
-    entries = [
-        replace(entry, low=-SPREAD_LIMIT * entry.deviation, high=SPREAD_LIMIT * entry.deviation, tails=inf)
-        if entry.of_servo
-        else entry
-        for entry in coordinates.entries
-    ]
-    return replace(coordinates, entries=tuple(entries))
+    return replace(coordinates, entries=tuple(map(student, coordinates.entries)))
 
 
-def _range(known: Parameter, value: float) -> tuple[float, float]:
-    """Where a parameter may go: a quarter beyond the catalogue's range, or about a value of a servo of another size."""
-    if known.low <= value <= known.high:
-        beyond = 0.25 * (known.high - known.low)
-        low = known.low - beyond if known.neutral is None else min(known.low - beyond, known.neutral)
-        return max(low, known.least), min(known.high + beyond, known.most)
+def with_sound_spread(coordinates: Coordinates) -> Coordinates:
+    """Normal priors and the bounds of a sound robot for the deviations of servos: a larger deviation is a fault."""
+
+    def sound(entry: Coordinate) -> Coordinate:
+        reach = SPREAD_LIMIT * entry.deviation
+        return replace(entry, low=-reach, high=reach, tails=inf) if entry.per_servo else entry
+
+    return replace(coordinates, entries=tuple(map(sound, coordinates.entries)))
+
+
+def _bounds(p: Parameter, value: float) -> tuple[float, float]:
+    """Bounds of a parameter: the catalogue's range widened by a quarter, or a range around a value outside of it."""
+    if p.low <= value <= p.high:
+        margin = 0.25 * (p.high - p.low)
+        low = p.low - margin if p.neutral is None else min(p.low - margin, p.neutral)
+        return max(low, p.least), min(p.high + margin, p.most)
     if value == 0.0:
-        return min(known.low, 0.0), max(known.high, 0.0)
-    low, high = sorted((0.0 if known.neutral == 0.0 else value / WIDEST, value * WIDEST))
-    return max(known.least, low), min(known.most, high)
+        return min(p.low, 0.0), max(p.high, 0.0)
+    low, high = sorted((0.0 if p.neutral == 0.0 else value / WIDEST, value * WIDEST))
+    return max(p.least, low), min(p.most, high)
 
 
-def _together(known: Parameter, own: np.ndarray) -> list[Coordinate]:
-    """One factor on values that joints have for themselves: those without the effect stay without it.
+def _common_factor(p: Parameter, values: np.ndarray) -> list[Coordinate]:
+    """One factor for values that differ between joints, so that joints without the effect remain without it.
 
-    A shape, such as a phase, stays as it is.
+    Parameters without a neutral value, such as a phase, are not fitted.
     """
-    if known.neutral != 0.0 and known.name not in SPREAD:
+    if p.neutral != 0.0 and p.name not in SPREAD:
         return []
-    largest = float(own[np.abs(own).argmax()])
-    ends = sorted(end / largest - 1.0 for end in _range(known, largest))
-    return [Coordinate(known.name, None, max(ends[0], -1.0), ends[1], 0.0, 0.0, 1.0, "scale")]
+    largest = float(values[np.abs(values).argmax()])
+    low, high = sorted(bound / largest - 1.0 for bound in _bounds(p, largest))
+    return [Coordinate(p.name, None, max(low, -1.0), high, 0.0, 0.0, 1.0, "scale")]
 
 
-def _chain(known: Parameter, chain: Usual, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
-    low, high = max(known.least, chain.least, -chain.most), min(known.most, chain.most)
-    places = [(j,) for j in range(len(joints)) if moving[j]] if chain.own and len(joints) > 1 else [None]
-    return [Coordinate(known.name, place, low, high, chain.value, chain.value, chain.wide) for place in places]
+def _with_prior(p: Parameter, usual: Usual, joints: Sequence[str], moving: Sequence[bool]) -> list[Coordinate]:
+    low, high = max(p.least, usual.least, -usual.most), min(p.most, usual.most)
+    columns = [(j,) for j in range(len(joints)) if moving[j]] if usual.own and len(joints) > 1 else [None]
+    return [Coordinate(p.name, column, low, high, usual.value, usual.value, usual.wide) for column in columns]

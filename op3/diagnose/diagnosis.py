@@ -1,4 +1,4 @@
-"""The workflow: windows, baseline fit, findings one after another, the gap of the model with them."""
+"""The diagnosis from logs to verdict: windows, baseline fit, findings one after another, gap in held-out runs."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -10,21 +10,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from op3.common.plain_names import words
-from op3.diagnose.base import QUANTILE, Baseline, at_point, settled, unfitted
-from op3.diagnose.candidates import Candidate
+from op3.diagnose.aliasing import not_shown
+from op3.diagnose.base import QUANTILE, Baseline, model_at, refitted_in_bounds, unfitted
+from op3.diagnose.candidates import Candidate, Hypothesis
 from op3.diagnose.coordinates import CHAIN
-from op3.diagnose.doubts import doubts, freed, unidentifiable, unusual
+from op3.diagnose.doubts import chain_deviations, doubts, free_and_expected, unidentifiable
 from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
-from op3.diagnose.judge_settings import SETTINGS, Settings
-from op3.diagnose.naming import NamingStage
+from op3.diagnose.judge_settings import MIN_WINDOWS, SETTINGS, Settings
+from op3.diagnose.naming import NamedEffect, NamingStage
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
 from op3.diagnose.starts import fit_base
 from op3.diagnose.unexplained import joint_gaps
 from op3.diagnose.verdict import LIKELY, Alternative, Finding, Verdict
-from op3.diagnose.visibility import not_shown
 from op3.diagnose.whole_runs import on_whole_runs
 from op3.diagnose.window_gaps import window_gaps
 from op3.replay.windows import HELD, WindowResiduals
@@ -32,7 +32,7 @@ from op3.servo import RobotModel, catalogue
 from op3.servo.conditions import split_name
 
 SHORTEST = 15.0
-"""Fitted runs shorter than this in all carry no name [s]."""
+"""Total duration of the fitted runs below which no finding is likely [s]."""
 
 ON_ITS_FEET = (
     "No effects are named from logs of a robot on the floor, because contacts hide its servos' torques: record it on a"
@@ -41,26 +41,31 @@ ON_ITS_FEET = (
 STILL = "No joint moves in the fitted runs: move every joint through slow triangles and fast sines."
 """Why no effect can be named."""
 
-FEWEST, PER_RUN = 72, 5
-"""Windows of the fitted runs, and of each of them."""
+PER_RUN = 5
+"""Budget: windows of each fitted run."""
 
 RANKED = 15
-"""Candidates that a verdict lists."""
+"""Display: candidates that a verdict lists."""
 
 STAGES = {"windows": 0.05, "baseline fit": 0.4, "candidates": 0.45, "held-out runs": 0.1}
-"""Usual shares of the time."""
+"""Display: typical shares of the time."""
 
 
 class Diagnosis:
-    """Finds what a model lacks from the logs of a split.
+    """Finds the effects that a model does not include from logs.
 
     Args:
-        model: effects that are on, and the values from which the refit starts.
+        model: effects that are on, and the values from which the baseline fit starts.
         split: logs of one mount.
-        seed: of the search and every resampling.
-        without: names of effects not to consider.
+        seed: seed of the search and of resampling.
+        without: names of effects that are not considered.
         settings: tuned constants.
-        progress: called with the stage and the share of all that is done.
+        progress: called with the stage and the completed share.
+
+    Attributes:
+        seconds: processor time by stage [s].
+        stages: the linear model with no effect named, one, two and so on.
+        search: the search for findings; None before the run.
     """
 
     def __init__(
@@ -81,9 +86,9 @@ class Diagnosis:
         self.search: Search | None = None
 
     def run(self, rounds: int = 1) -> Verdict:
-        """Diagnose; with more rounds, go on from the model handed back until nothing more is found.
+        """Diagnose; with several rounds, repeat from the returned model until nothing more is found.
 
-        Linear algebra gets one thread: its matrices are small, and a second thread would wait, using a whole core.
+        Linear algebra uses one thread: for its small matrices a second thread would only wait.
         """
         with threadpool_limits(1):
             verdict = self._once(self.given)
@@ -94,8 +99,8 @@ class Diagnosis:
                 if all(finding.of_base for finding in further.findings):
                     break
                 findings = sorted((*verdict.findings, *further.findings), key=lambda finding: -finding.probability)
-                doubted = tuple(dict.fromkeys((*verdict.doubts, *further.doubts)))
-                verdict = replace(further, findings=tuple(findings), doubts=doubted, base=verdict.base)
+                all_doubts = tuple(dict.fromkeys((*verdict.doubts, *further.doubts)))
+                verdict = replace(further, findings=tuple(findings), doubts=all_doubts, base=verdict.base)
                 shown = show(verdict.base, verdict.model, self.split, self.seed, self.given)
                 models = (self.given, verdict.base, verdict.model)
                 windows = window_gaps(models, first, self.split, shown_logs(self.split))
@@ -103,23 +108,22 @@ class Diagnosis:
         return verdict
 
     def first_stage(self, fitted: bool = True) -> NamingStage:
-        """The judge around the base with nothing named; of simulated logs around the given model as it is."""
+        """The linear model around the baseline fit, or around the given model, with no effect named."""
         with threadpool_limits(1):
             reduction = self.reduction()
-            base = self._base(reduction, self.given) if fitted else unfitted(reduction, self.given, self.settings)
-            return self._searching(reduction).first(base)
+            base = self._fit_base(reduction, self.given) if fitted else unfitted(reduction, self.given)
+            return self._new_search(reduction).first(base)
 
-    def _base(self, reduction: Reduction, model: RobotModel) -> Baseline:
-        rng = np.random.default_rng([self.seed, 11])
-        return fit_base(reduction, model, rng, self.settings, self._share("baseline fit"))
+    def _fit_base(self, reduction: Reduction, model: RobotModel) -> Baseline:
+        return fit_base(reduction, model, np.random.default_rng([self.seed, 11]), self._share("baseline fit"))
 
-    def _searching(self, reduction: Reduction) -> Search:
-        self.search = Search(reduction, self.without, self.settings, self._share("candidates"))
+    def _new_search(self, reduction: Reduction) -> Search:
+        self.search = Search(reduction, self.without, self._share("candidates"))
         return self.search
 
     def reduction(self) -> Reduction:
         """The windows of the fitted runs."""
-        windows = self.settings.windows or max(FEWEST, PER_RUN * len(self.split.fit))
+        windows = self.settings.windows or max(MIN_WINDOWS, PER_RUN * len(self.split.fit))
         return Reduction(WindowResiduals(self.split.fit, windows=windows), self.settings)
 
     def _once(self, model: RobotModel) -> Verdict:
@@ -130,9 +134,9 @@ class Diagnosis:
         if not reduction.limbs:
             return self._void(model, STILL)
         with self._timed("baseline fit"):
-            base = self._base(reduction, model)
+            base = self._fit_base(reduction, model)
         with self._timed("candidates"):
-            self.stages = self._searching(reduction).run(base)
+            self.stages = self._new_search(reduction).run(base)
         with self._timed("held-out runs"):
             verdict = self._verdict(model, reduction)
         self._progress("held-out runs", 1.0)
@@ -140,7 +144,7 @@ class Diagnosis:
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
-        """Add the processor time of what is inside to a stage's."""
+        """Add the processor time of a block to a stage."""
         began = time.process_time()
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - began
@@ -156,13 +160,15 @@ class Diagnosis:
 
     def _verdict(self, given: RobotModel, reduction: Reduction) -> Verdict:
         first, last = self.stages[0], self.stages[-1]
-        base = settled(reduction, first.base, self.settings) if first.base.taken_back.any() else first.base
-        points = [on_whole_runs(one, self.split.fit) for one in (base, last.base)]
-        before, after = (one.point if at is None else at for one, at in zip((base, last.base), points, strict=True))
-        baseline = at_point(base.coordinates, before)
+        base = refitted_in_bounds(reduction, first.base) if first.base.clipped.any() else first.base
+        refits = [on_whole_runs(fitted, self.split.fit) for fitted in (base, last.base)]
+        before, after = (
+            fitted.point if point is None else point for fitted, point in zip((base, last.base), refits, strict=True)
+        )
+        baseline = model_at(base.coordinates, before)
         deviation = np.sqrt(np.diag(last.fit.covariance))[: len(after)]
-        deviation = np.hypot(deviation, after - last.base.point)  # windows and whole runs disagree by so much
-        returned = at_point(last.base.coordinates, after, deviation)
+        deviation = np.hypot(deviation, after - last.base.point)  # difference between windows and whole runs
+        returned = model_at(last.base.coordinates, after, deviation)
         findings = [*self._named(reduction, last), *self._of_base(given, reduction, last)]
         shown = show(baseline, returned, self.split, self.seed, given)
         return Verdict(
@@ -178,7 +184,7 @@ class Diagnosis:
             shown["loss"],
             self._chain(base),
             self._ranking(reduction, first),
-            ends=tuple(-end.gain for end in first.base.others),
+            ends=tuple(-optimum.gain for optimum in first.base.other_optima),
             not_shown=not_shown(first, reduction.engine.joints),
             shown=shown,
         )
@@ -190,7 +196,7 @@ class Diagnosis:
     def _cannot_tell(self, reduction: Reduction) -> tuple[str, ...]:
         said = []
         still = [joint for joint, moves in zip(reduction.engine.joints, reduction.moving, strict=True) if not moves]
-        if self.search is not None and self.search.held.in_time:
+        if self.search is not None and self.search.held_out.in_time:
             said.append(
                 "There are too few runs, so the logs were cut in time instead: errors on other motions may be larger."
             )
@@ -205,108 +211,112 @@ class Diagnosis:
         return tuple(said)
 
     def _probability(self, z: float) -> float:
-        """That a gain of so many standard errors is no chance; of short logs not beyond a half."""
+        """Probability of a finding by its held-out gain in standard errors; for short logs at most one half."""
         s = self.settings
         most = LIKELY if self._short else 1.0
         return min(most, float(1.0 / (1.0 + np.exp(-s.steepness * (z - s.threshold)))))
 
     def _named(self, reduction: Reduction, stage: NamingStage) -> list[Finding]:
-        """Findings of the last stage, sharing their probability with rivals."""
         assert self.search is not None
-        result, joints, opened = [], reduction.engine.joints, self.search.opened(stage)
-        entries = stage.base.coordinates.entries
-        places = [(entry.parameter, entry.joints) for entry in entries]
-        for number, one in enumerate(stage.named):
-            i = entries.index(one.coordinates[0])
-            share = np.exp(-self.settings.steepness * np.array([0.0, *(max(r.behind.z, 0.0) for r in one.rivals)]))
-            z = one.gain.z if opened is None else min(one.gain.z, opened[number].z)
-            share = self._probability(z) * share / share.sum()
-            shares = zip(one.rivals, share[1:].tolist(), strict=True)
-            rivals = tuple(_alternative(rival.candidate, joints, part) for rival, part in shares)
-            known = one.candidate.model.parameters()[entries[i].parameter]
-            # with what the baseline has of the same number of that servo alone
-            both = [k for k, place in enumerate(places) if place == places[i] and entries[k].kind != "scale"]
-            point, variance = stage.base.point[both].sum(), stage.fit.covariance[np.ix_(both, both)].sum()
-            size = float(point + (known.neutral or 0.0))
-            half = QUANTILE * float(np.sqrt(variance + (self.settings.form * point) ** 2))
-            result.append(
-                Finding(
-                    one.candidate.effect.name,
-                    joints if one.candidate.joints is None else tuple(joints[j] for j in one.candidate.joints),
-                    one.candidate.joints is None,
-                    known.name,
-                    size,
-                    known.unit,
-                    (max(size - half, known.least), min(size + half, known.most)),
-                    float(share[0]),
-                    one.log_odds,
-                    one.gain,
-                    rivals,
-                    one.relevance.torque,
-                    one.relevance.load,
-                    beyond=bool(stage.base.point[i] in (entries[i].low, entries[i].high) and point != 0.0),
-                    opened=None if opened is None else opened[number].z,
-                )
-            )
-        return result
+        gains = self.search.gains_with_wider_bounds(stage)
+        opened = [None] * len(stage.named) if gains is None else [gain.z for gain in gains]
+        return [self._finding(reduction, stage, *pair) for pair in zip(stage.named, opened, strict=True)]
+
+    def _finding(self, reduction: Reduction, stage: NamingStage, effect: NamedEffect, opened: float | None) -> Finding:
+        """A finding from a named effect, which shares its probability with its rivals."""
+        joints, base, candidate = reduction.engine.joints, stage.base, effect.candidate
+        entries = base.coordinates.entries
+        i = entries.index(effect.coordinates[0])
+        rival_gains = [max(rival.finding_gain.z, 0.0) for rival in effect.rivals]
+        share = np.exp(-self.settings.steepness * np.array([0.0, *rival_gains]))
+        z = effect.gain.z if opened is None else min(effect.gain.z, opened)
+        share = self._probability(z) * share / share.sum()
+        alternatives = tuple(
+            Alternative(*_place(rival.candidate, joints), probability)
+            for rival, probability in zip(effect.rivals, share[1:].tolist(), strict=True)
+        )
+        p = candidate.model.parameters()[entries[i].parameter]
+        # together with the baseline's own coordinate of the same parameter and joints
+        same = [
+            k
+            for k, entry in enumerate(entries)
+            if (entry.parameter, entry.joints) == (entries[i].parameter, entries[i].joints) and entry.kind != "scale"
+        ]
+        amount, variance = base.point[same].sum(), stage.fit.covariance[np.ix_(same, same)].sum()
+        size = float(amount + (p.neutral or 0.0))
+        half = QUANTILE * float(np.sqrt(variance + (self.settings.form_error * amount) ** 2))
+        return Finding(
+            candidate.effect.name,
+            joints if candidate.joints is None else tuple(joints[j] for j in candidate.joints),
+            candidate.joints is None,
+            p.name,
+            size,
+            p.unit,
+            (max(size - half, p.least), min(size + half, p.most)),
+            float(share[0]),
+            effect.log_odds,
+            effect.gain,
+            alternatives,
+            effect.relevance.torque,
+            effect.relevance.load,
+            beyond=bool(base.point[i] in (entries[i].low, entries[i].high) and amount != 0.0),
+            opened=opened,
+        )
 
     def _of_base(self, given: RobotModel, reduction: Reduction, stage: NamingStage) -> list[Finding]:
-        """Numbers of the chain of measurement that are far from what is usual, or from what the given model says."""
+        """Findings about the measurement chain: values far from the usual ones or from those of the given model."""
         result, joints = [], reduction.engine.joints
         assert self.search is not None
         base, rows = stage.base, stage.judge.rows
-        for one in unusual(given, base):
-            if one.log_odds < self.settings.alarm:
+        for deviation in chain_deviations(given, base):
+            if deviation.log_odds < self.settings.alarm:
                 continue
-            better, usual = freed(reduction, base, one.number, one.held, self.settings)
-            gain = Gain.of(self.search.held.score(better, rows), self.search.held.score(usual, rows))
+            models = free_and_expected(reduction, base, deviation.index, deviation.expected)
+            gain = Gain.of(*(self.search.held_out.density(model, rows) for model in models))
             probability = self._probability(gain.z)
             if probability <= LIKELY:
                 continue
-            entry = base.coordinates.entries[one.number]
+            entry = base.coordinates.entries[deviation.index]
             effect = next(e for e in catalogue().values() if entry.parameter in {p.name for p in e.parameters})
-            known = next(p for p in effect.parameters if p.name == entry.parameter)
-            value = float(base.point[one.number])
-            off = self.settings.form * (value - one.held.prior)
-            half = QUANTILE * float(np.hypot(one.deviation, off))
-            ends = max(value - half, known.least), min(value + half, known.most)
-            told = (known.name, value, known.unit, ends, probability, one.log_odds, gain)
-            result.append(Finding(effect.name, joints, True, *told, of_base=True))
+            p = next(p for p in effect.parameters if p.name == entry.parameter)
+            value = float(base.point[deviation.index])
+            form_error = self.settings.form_error * (value - deviation.expected.prior)
+            half = QUANTILE * float(np.hypot(deviation.deviation, form_error))
+            interval = max(value - half, p.least), min(value + half, p.most)
+            size = p.name, value, p.unit, interval
+            result.append(
+                Finding(effect.name, joints, True, *size, probability, deviation.log_odds, gain, of_base=True)
+            )
         return result
 
     @staticmethod
     def _chain(base: Baseline) -> list[dict[str, Any]]:
-        """The numbers that joints share of the chain of measurement, beside what is usual."""
-        told, known = [], base.model.parameters()
+        """Shared parameters of the measurement chain, fitted and usual."""
+        result, parameters = [], base.model.parameters()
         for entry, value in zip(base.coordinates.entries, base.point, strict=True):
-            chain = CHAIN.get(split_name(entry.parameter)[0])
-            if chain is not None and entry.joints is None:
-                numbers = {"found": float(f"{value:.4g}"), "usual": chain.value, "spread": chain.spread}
-                told.append({"name": entry.parameter, **numbers, "unit": known[entry.parameter].unit})
-        return told
+            usual = CHAIN.get(split_name(entry.parameter)[0])
+            if usual is not None and entry.joints is None:
+                values = {"found": float(f"{value:.4g}"), "usual": usual.value, "spread": usual.spread}
+                result.append({"name": entry.parameter, **values, "unit": parameters[entry.parameter].unit})
+        return result
 
     def _ranking(self, reduction: Reduction, stage: NamingStage) -> list[dict[str, Any]]:
-        """Candidates by their log odds before anything is named."""
+        """Hypotheses by the log odds of their best candidate, before any effect is named."""
         odds = stage.judge.scores(stage.fit)
-        best: dict[tuple, tuple[float, Candidate]] = {}
-        for number in np.argsort(-odds):
-            if not np.isfinite(odds[number]) or len(best) == RANKED:
+        best: dict[Hypothesis, tuple[float, Candidate]] = {}
+        for index in np.argsort(-odds):
+            if not np.isfinite(odds[index]) or len(best) == RANKED:
                 break
-            candidate = stage.found[number]
-            best.setdefault(candidate.place, (float(odds[number]), candidate))
+            candidate = stage.candidates[index]
+            best.setdefault(candidate.hypothesis, (float(odds[index]), candidate))
         return [
-            {"effect": name, "joints": joints, "shared": shared, "log_odds": round(score, 2)}
+            {"effect": name, "joints": list(joints), "shared": shared, "log_odds": round(score, 2)}
             for score, candidate in best.values()
             for name, joints, shared in [_place(candidate, reduction.engine.joints)]
         ]
 
 
-def _place(candidate: Candidate, joints: Sequence[str]) -> tuple[str, list[str], bool]:
+def _place(candidate: Candidate, joints: Sequence[str]) -> tuple[str, tuple[str, ...], bool]:
     """Effect, names of its joints, and whether these are all."""
-    where = list(joints) if candidate.joints is None else [joints[j] for j in candidate.joints]
-    return candidate.effect.name, where, candidate.joints is None
-
-
-def _alternative(candidate: Candidate, joints: Sequence[str], probability: float) -> Alternative:
-    name, where, shared = _place(candidate, joints)
-    return Alternative(name, tuple(where), shared, probability)
+    names = joints if candidate.joints is None else [joints[j] for j in candidate.joints]
+    return candidate.effect.name, tuple(names), candidate.joints is None

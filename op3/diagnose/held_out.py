@@ -1,12 +1,11 @@
-"""How well a model predicts windows of runs that it was not fitted to: what decides names, and what the gap shows.
+"""Held-out log density: how well a model predicts windows of runs to which it was not fitted.
 
-Runs are left out in turn. The numbers of a model are estimated from the other runs by one Gauss-Newton step from where
-all runs put them, the windows of a run left out are simulated with these numbers and with draws from their posterior,
-and what the model leaves of their torques, currents and rates has a log density: that of the judge, with Student's
-noise and what each joint does that no effect explains integrated out, of sizes that the other runs say, averaged over
-the draws (Geisser 1975; Vehtari, Gelman & Gabry 2017). With one set of numbers, a single joint that just sticks in one
-window decides the gain of a run. Runs repeat an experiment and windows of one run do not, so that a gain of one model
-on another has a standard error over runs.
+Runs are left out in turn. The parameters are estimated from the other runs by one Gauss-Newton step, the windows of the
+left-out run are simulated at the posterior mean and at posterior draws, and the density of their residuals is averaged
+over the draws (Geisser 1975; Vehtari, Gelman & Gabry 2017); with the mean alone, a single joint that just sticks in one
+window would decide the result of a run. The density is that of the linear model: Student noise, unmodelled torque
+integrated out, variances from the other runs. Runs are independent and windows of one run are not, so the difference
+between two models has a standard error over runs.
 """
 
 from dataclasses import dataclass, replace
@@ -16,41 +15,27 @@ from scipy import linalg
 from scipy.special import logsumexp
 from scipy.stats import norm, t
 
-from op3.diagnose.base import Baseline, base_numbers
+from op3.diagnose.base import Baseline, step_priors
 from op3.diagnose.judge import Judge, Rows, Variances
 from op3.diagnose.reduction import Reduction
+from op3.diagnose.split import FEWEST_RUNS
 
-FOLDS = 6
-"""Groups in which runs are left out; more give nearly the same numbers."""
+FOLDS, BLOCKS = 6, 8
+"""Budget: groups in which runs are left out, and blocks of time that replace fewer than `FEWEST_RUNS` runs."""
 
-FEWEST_RUNS = 5
-"""With fewer runs than these, blocks of their time are left out in turn, `BLOCKS` in all."""
-
-BLOCKS = 8
-
-DRAWS = 3
-"""Sets of numbers drawn from the posterior, beside its mean."""
-
-ROUNDS = 3
-"""Rounds by which it is found how wild each window of a run left out is."""
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOutScore:
-    """Log densities of what a model leaves of runs that it was not fitted to, ``[run, joint]``."""
-
-    density: np.ndarray
+DRAWS, ROUNDS = 3, 3
+"""Budget: posterior draws beside the mean, and rounds that estimate the Student weights of left-out windows."""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """By how much one model predicts the windows of a run better than another.
+    """Difference between the held-out log densities of two models, per run.
 
     Attributes:
-        mean: over runs, in natural units of log density.
-        error: standard error of it over runs.
-        z: the mean in standard errors, as many of a normal as are as unlikely as Student's with that few runs.
-        runs: how many.
+        mean: over runs [nat].
+        error: its standard error over runs.
+        z: mean in standard errors, converted from Student's distribution with this number of runs to a normal one.
+        runs: number of runs.
     """
 
     mean: float
@@ -59,11 +44,11 @@ class Gain:
     runs: int
 
     @classmethod
-    def of(cls, better: HeldOutScore, other: HeldOutScore) -> "Gain":
-        """The gain of one model on another."""
-        apart = (better.density - other.density).sum(1)
-        count, mean = len(apart), float(apart.mean())
-        error = float(apart.std(ddof=1) / np.sqrt(count))
+    def of(cls, density: np.ndarray, reference: np.ndarray) -> "Gain":
+        """The gain of one model over another, from log densities ``[run, joint]``."""
+        difference = (density - reference).sum(1)
+        count, mean = len(difference), float(difference.mean())
+        error = float(difference.std(ddof=1) / np.sqrt(count))
         if error < 1e-12:
             return cls(mean, error, 0.0 if abs(mean) < 1e-12 else float(np.sign(mean)) * 10.0, count)
         z = float(np.clip(-norm.ppf(t.sf(abs(mean) / error, count - 1)), 0.0, 10.0)) * float(np.sign(mean))
@@ -71,113 +56,111 @@ class Gain:
 
 
 class HeldOut:
-    """Cross-validation over the runs of windows.
+    """Cross-validation over runs.
 
     Args:
-        reduction: of windows of all runs that are fitted.
+        reduction: windows of all fitted runs.
 
     Attributes:
-        runs: of every window the run, or block of time, that is left out with it, ``[window]``.
-        in_time: whether blocks of time are left out in place of runs.
+        runs: run, or block of time, of each window, ``[window]``.
+        in_time: whether blocks of time are left out instead of runs.
     """
 
     def __init__(self, reduction: Reduction):
         self.reduction = reduction
         logs = np.array([log for log, _ in reduction.engine.windows])
         self.in_time = len(np.unique(logs)) < FEWEST_RUNS
-        if self.in_time:  # windows come in the order of the logs and of time
+        if self.in_time:  # windows are in the order of the logs and of time
             self.runs = np.arange(len(logs)) * min(BLOCKS, len(logs)) // len(logs)
         else:
             self.runs = np.unique(logs, return_inverse=True)[1]
-        self._folds = [np.isin(self.runs, runs) for runs in _dealt(int(self.runs.max()) + 1)]
+        self.count = int(self.runs.max()) + 1
+        folds = min(FOLDS, self.count)
+        self._folds = [np.isin(self.runs, np.arange(fold, self.count, folds)) for fold in range(folds)]
 
-    def score(self, base: Baseline, like: Rows) -> HeldOutScore:
-        """The log densities of a fitted base; the sensors' and the edge of sticking's noise are those of other rows."""
-        reduction, point, own = self.reduction, base.point, base.coordinates
-        rows = reduction.rows(base.linear, (), like)
-        numbers, state = base_numbers(own, point), base.fit.state
-        whole = Judge(rows, numbers, reduction.settings).fit(state=state, rounds=0).mean
+    def density(self, base: Baseline, reference: Rows) -> np.ndarray:
+        """Held-out log densities of a fitted model, ``[run, joint]``; sensor and edge variances are the reference's."""
+        reduction, point, coordinates = self.reduction, base.point, base.coordinates
+        rows = reduction.rows(base.linear, (), reference)
+        priors, variances = step_priors(coordinates, point), base.fit.variances
+        step = Judge(rows, priors, reduction.settings).fit(variances=variances, rounds=0).mean
         points, rng = [], np.random.default_rng(0)
-        for held in self._folds:
-            judge = Judge(_some(rows, ~held), numbers, reduction.settings)
-            fit = judge.fit(state=_of_some(state, ~held), rounds=0)
+        for left_out in self._folds:
+            judge = Judge(_select(rows, ~left_out), priors, reduction.settings)
+            weight = variances.weight[:, :, ~left_out]
+            fit = judge.fit(variances=Variances(variances.noise, variances.unmodelled, weight), rounds=0)
             draws = rng.multivariate_normal(np.zeros(len(point)), fit.covariance, DRAWS, method="cholesky")
-            points += [np.clip(point + fit.mean - whole + away, own.low, own.high) for away in (0.0, *draws)]
-        lacking = -reduction.reduce(base.linear.reducers, reduction.at(own, np.array(points)))
-        density = np.zeros((int(self.runs.max()) + 1, len(rows.joints)))
-        for drawn, held in zip(lacking.reshape(-1, DRAWS + 1, *lacking.shape[1:]), self._folds, strict=True):
-            for run in np.unique(self.runs[held]):
-                mine = self.runs == run
+            points += [
+                np.clip(point + fit.mean - step + draw, coordinates.low, coordinates.high) for draw in (0.0, *draws)
+            ]
+        residuals = -reduction.reduce(base.linear.reducers, reduction.errors_at(coordinates, np.array(points)))
+        density = np.zeros((self.count, len(rows.joints)))
+        residuals = residuals.reshape(-1, DRAWS + 1, *residuals.shape[1:])
+        for of_fold, left_out in zip(residuals, self._folds, strict=True):
+            for run in np.unique(self.runs[left_out]):
+                windows = self.runs == run
                 for j in range(len(rows.joints)):
-                    args = rows.variance[j, mine], rows.features[j, mine], rows.kinds, state.noise[j], state.law[j]
-                    each = [log_density(left[j, mine], *args, reduction.settings.tails) for left in drawn]
-                    density[run, j] = logsumexp(each) - np.log(len(each))
-        return HeldOutScore(density)
+                    noise, unmodelled = variances.noise[j], variances.unmodelled[j]
+                    of_joint = rows.variance[j, windows], rows.features[j, windows], rows.kinds, noise, unmodelled
+                    tails = reduction.settings.tails
+                    draws = [log_density(residual[j, windows], *of_joint, tails) for residual in of_fold]
+                    density[run, j] = logsumexp(draws) - np.log(len(draws))
+        return density
 
 
-def _dealt(runs: int) -> list[np.ndarray]:
-    """Runs dealt out to folds."""
-    folds = min(FOLDS, runs)
-    return [np.arange(fold, runs, folds) for fold in range(folds)]
-
-
-def _some(rows: Rows, kept: np.ndarray) -> Rows:
+def _select(rows: Rows, windows: np.ndarray) -> Rows:
     """Rows of some windows."""
-    values = tuple(one[:, kept] for one in rows.values)
-    parts = {name: getattr(rows, name)[:, kept] for name in ("measured", "variance", "features")}
-    return replace(rows, **parts, values=values)
-
-
-def _of_some(state: Variances, kept: np.ndarray) -> Variances:
-    return Variances(state.noise, state.law, state.weight[:, :, kept])
+    design = tuple(columns[:, windows] for columns in rows.design)
+    parts = {name: getattr(rows, name)[:, windows] for name in ("residual", "variance", "features")}
+    return replace(rows, **parts, design=design)
 
 
 def log_density(
-    left: np.ndarray,
-    known: np.ndarray,
+    residual: np.ndarray,
+    variance: np.ndarray,
     features: np.ndarray,
     kinds: np.ndarray,
     noise: np.ndarray,
-    law: float,
+    unmodelled: float,
     tails: float,
 ) -> float:
-    """Log density of what is left of a joint's rows, ``[window, row]``, but for constants.
+    """Log density, without constants, of a joint's residuals.
 
     Args:
-        left: what a model leaves.
-        known: variance of the sensors and of the edge of sticking; infinite where nothing is known.
-        features: of the unexplained law, ``[window, row, feature]``.
+        residual: ``[window, row]``.
+        variance: of sensors and windows on the edge of sticking, ``[window, row]``; infinite where not measured.
+        features: of the unmodelled torque, ``[window, row, feature]``.
         kinds: of the rows.
         noise: standard deviations by kind.
-        law: size of the unexplained law.
+        unmodelled: scale of the unmodelled torque.
         tails: degrees of freedom of Student's noise.
     """
-    whole = known + noise[kinds] ** 2
-    seen = np.isfinite(whole)
-    if not seen.any():
+    total = variance + noise[kinds] ** 2
+    valid = np.isfinite(total)
+    if not valid.any():
         return 0.0
-    y, f = np.where(seen, left, 0.0).ravel().astype(np.float64), features.reshape(left.size, -1)
+    y, f = np.where(valid, residual, 0.0).ravel().astype(np.float64), features.reshape(residual.size, -1)
     group = kinds // 2
-    weight = np.ones((len(left), int(group.max()) + 1))
-    counts = np.stack([seen[:, group == g].sum(1) for g in range(weight.shape[1])], 1)
+    weight = np.ones((len(residual), int(group.max()) + 1))
+    counts = np.stack([valid[:, group == g].sum(1) for g in range(weight.shape[1])], 1)
 
-    def solved() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Precisions, the factor of the law's precision, and the measurement seen through it."""
-        precision = np.where(seen, weight[:, group] / whole, 0.0).ravel()
-        factor = np.linalg.cholesky(f.T @ (f * precision[:, None]) + np.eye(f.shape[1]) / law**2)
+    def factorised() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Precisions, Cholesky factor of the feature weights' precision, and whitened right-hand side."""
+        precision = np.where(valid, weight[:, group] / total, 0.0).ravel()
+        factor = np.linalg.cholesky(f.T @ (f * precision[:, None]) + np.eye(f.shape[1]) / unmodelled**2)
         half = linalg.solve_triangular(factor, f.T @ (precision * y), lower=True, check_finite=False)
         return precision, factor, half
 
     for _ in range(ROUNDS):
-        _, factor, half = solved()
+        _, factor, half = factorised()
         spread = linalg.solve_triangular(factor, f.T, lower=True, check_finite=False)
-        square = (np.square(y - spread.T @ half) + np.square(spread).sum(0)).reshape(left.shape)
-        distance = np.where(seen, square / whole, 0.0)
+        square = (np.square(y - spread.T @ half) + np.square(spread).sum(0)).reshape(residual.shape)
+        distance = np.where(valid, square / total, 0.0)
         for g in range(weight.shape[1]):
             weight[:, g] = (tails + counts[:, g] - 2) / (tails + distance[:, group == g].sum(1))
-    precision, factor, half = solved()
+    precision, factor, half = factorised()
     positive = precision[precision > 0]
-    density = np.log(positive).sum() - 2 * np.log(np.diag(factor)).sum() - 2 * f.shape[1] * np.log(law)
+    density = np.log(positive).sum() - 2 * np.log(np.diag(factor)).sum() - 2 * f.shape[1] * np.log(unmodelled)
     density -= float(y @ (precision * y) - half @ half)
     density += 2 * ((tails / 2 - 1) * np.log(weight) - tails / 2 * weight)[counts > 0].sum()
     return 0.5 * float(density)

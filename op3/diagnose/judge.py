@@ -1,16 +1,15 @@
-"""The statistical judge: how much more probable the logs are if one effect of the catalogue is there a lot.
+"""The linear model of the residuals and the evidence of every candidate in it.
 
-A row is the torque, the current or the reported velocity that a window of a joint lacks under the base model, modelled
-as
+The rows of a joint (unmodelled torque, current, reported velocity, by window) are modelled as
 
 ``y = B b + S a + F w + e``
 
-with ``B b`` the base and the chain of measurement (wide priors), ``S a`` every effect of the catalogue in every place,
-``F w`` what this joint does and nobody explains, integrated out (random features: Rahimi & Recht 2007), and noise ``e``
-with Student's tails (scale mixture: Lange, Little & Taylor 1989). No law is exact, so every effect is always there a
-little: the *spike*. A finding is one that is there a lot: the *slab*, truncated to what physics allows (spike and slab:
-Mitchell & Beauchamp 1988; George & McCulloch 1993). The score of a candidate is the log evidence of its slab against
-its spike, all else integrated out; variances are found by expectation-maximisation, as often for the base alone.
+with ``B b`` the parameters of the baseline and of the measurement chain (wide priors), ``S a`` every effect of the
+catalogue in every set of joints, ``F w`` the joint's unmodelled torque, integrated out (random features: Rahimi and
+Recht 2007), and Student noise ``e`` (scale mixture: Lange, Little & Taylor 1989). No law is exact, so every effect has
+a small prior amplitude: the *spike*. A finding has a large one: the *slab*, truncated to the physical range (spike and
+slab: Mitchell & Beauchamp 1988; George & McCulloch 1993). The score of a candidate is the log evidence ratio of slab
+and spike, all else integrated out. Variances are estimated by expectation-maximisation without any candidate.
 """
 
 from collections.abc import Sequence
@@ -23,49 +22,50 @@ from scipy.stats import norm
 
 from op3.diagnose.judge_settings import SETTINGS, Settings
 
-GRID = np.exp(np.linspace(np.log(0.02), np.log(30.0), 30))
-"""Standard deviations of a joint's noise that are tried [units]."""
+NOISE_GRID = np.exp(np.linspace(np.log(0.02), np.log(30.0), 30))
+"""Numerical: standard deviations of a joint's noise that are compared [torque units]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What is judged: torques, currents and rates by joint, window and piece, the pieces as their mean and differences.
+    """Residuals of torque, current and rate by joint, window and piece, the pieces as their mean and differences.
 
     Attributes:
         joints: names.
         kinds: of every row of a window: 0 mean torque, 1 differences of torque, 2 mean current, 3 its differences,
-            4 mean of the reported velocity beyond the angle's rate, 5 its differences, ``[row]``.
-        measured: what the base leaves [units], ``[joint, window, row]``.
-        variance: of the sensors and of the edge of sticking, ``[joint, window, row]``; infinite where nothing is known.
-        features: of the unexplained law, ``[joint, window, row, feature]``.
-        columns: by joint, which numbers move it, ``[column]``.
-        values: by joint, how, ``[column, window, row]``; numbers are the base's, then the candidates' that sit in one
-            joint or in all.
+            4 mean difference of reported velocity and rate of the angle, 5 its differences, ``[row]``.
+        residual: residual of the baseline [torque units], ``[joint, window, row]``.
+        variance: of the sensors and of windows on the edge of sticking, ``[joint, window, row]``; infinite where
+            nothing was measured.
+        features: features of the unmodelled torque, ``[joint, window, row, feature]``.
+        coefficients: by joint, indices of the coefficients that change its rows, ``[coefficient]``.
+        design: by joint, their columns, ``[coefficient, window, row]``. Coefficients are the baseline's, then those of
+            the elementary candidates (of one joint or of all).
     """
 
     joints: tuple[str, ...]
     kinds: np.ndarray
-    measured: np.ndarray
+    residual: np.ndarray
     variance: np.ndarray
     features: np.ndarray
-    columns: tuple[np.ndarray, ...]
-    values: tuple[np.ndarray, ...]
+    coefficients: tuple[np.ndarray, ...]
+    design: tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
-    """Priors of the numbers, and the candidates that are made of them.
+class CoefficientPriors:
+    """Priors of the coefficients, and the candidates that are sums of them.
 
     Attributes:
-        mean: prior means, ``[number]``.
-        deviation: prior standard deviations; of what is no base's number, its spike, ``[number]``.
-        members: numbers of which a candidate is the sum: one, or of a pair or a side one of each joint.
-        slab: standard deviation of a finding, ``[candidate]``.
+        mean: prior means, ``[coefficient]``.
+        deviation: prior standard deviations; of a candidate's coefficient its spike, ``[coefficient]``.
+        members: coefficients of each candidate: one, or one per joint of a pair or a side.
+        slab: standard deviation of the slab, ``[candidate]``.
         low: smallest plausible size, ``[candidate]``.
         high: largest plausible size, ``[candidate]``.
-        place: log prior of the candidate's place, ``[candidate]``.
-        least: smallest values that numbers may have, ``[number]``.
-        most: largest ones, ``[number]``.
+        log_prior: of the candidate's hypothesis, ``[candidate]``.
+        lower: lower bounds, ``[coefficient]``.
+        upper: upper bounds, ``[coefficient]``.
     """
 
     mean: np.ndarray
@@ -74,63 +74,63 @@ class Numbers:
     slab: np.ndarray = field(default_factory=lambda: np.zeros(0))
     low: np.ndarray = field(default_factory=lambda: np.zeros(0))
     high: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    place: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    least: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
-    most: np.ndarray = field(default_factory=lambda: np.array(np.inf))
+    log_prior: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    lower: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
+    upper: np.ndarray = field(default_factory=lambda: np.array(np.inf))
 
 
 @dataclass
 class Variances:
-    """Variances: noise ``[joint, kind]``, size of the unexplained law ``[joint]``, weights ``[torque | current | rate,
-    joint, window]``."""
+    """Noise ``[joint, kind]``, scale of the unmodelled torque ``[joint]``, and weights of Student's noise ``[torque |
+    current | rate, joint, window]``."""
 
     noise: np.ndarray
-    law: np.ndarray
+    unmodelled: np.ndarray
     weight: np.ndarray
 
     def copy(self) -> "Variances":
-        """The same, to be changed."""
-        return Variances(self.noise.copy(), self.law.copy(), self.weight.copy())
+        """A copy that may be changed."""
+        return Variances(self.noise.copy(), self.unmodelled.copy(), self.weight.copy())
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What a fit has found.
+    """The posterior of a linear fit.
 
     Attributes:
-        mean: the numbers, and behind them the named candidates' sizes.
+        mean: of the coefficients, followed by the slabs of the named candidates.
         precision: matrix of both.
-        evidence: log probability of the rows.
-        laws: what each joint does and nobody explains, by feature.
-        state: the variances.
+        evidence: log evidence of the rows.
+        feature_weights: by joint, of the features of its unmodelled torque, ``[feature]``.
+        variances: under which it holds.
     """
 
     mean: np.ndarray
     precision: np.ndarray
     evidence: float
-    laws: tuple[np.ndarray, ...]
-    state: Variances
+    feature_weights: tuple[np.ndarray, ...]
+    variances: Variances
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of numbers and named candidates."""
+        """Covariance of the coefficients and the named candidates."""
         factor = linalg.cho_factor(self.precision, lower=True, check_finite=False)
         return linalg.cho_solve(factor, np.eye(len(self.precision)), overwrite_b=True, check_finite=False)
 
 
 class Judge:
-    """Evidence for effects in rows.
+    """Linear fits of rows and the evidence of candidates.
 
     Args:
-        rows: that are judged.
-        numbers: priors of their columns.
+        rows: residuals and design.
+        priors: priors of the coefficients.
         settings: tuned constants.
-        gaussian: whether a wild window counts in full.
+        gaussian: whether the noise is Gaussian, so that outliers have full weight.
     """
 
-    def __init__(self, rows: Rows, numbers: Numbers, settings: Settings = SETTINGS, gaussian: bool = False):
-        self.rows, self.numbers, self.settings, self.gaussian = rows, numbers, settings, gaussian
-        joints, windows, _ = rows.measured.shape
+    def __init__(self, rows: Rows, priors: CoefficientPriors, settings: Settings = SETTINGS, gaussian: bool = False):
+        self.rows, self.priors, self.settings, self.gaussian = rows, priors, settings, gaussian
+        joints, windows, _ = rows.residual.shape
         self.tails = np.inf if gaussian else settings.tails
         self.group = rows.kinds // 2
         self.counts = np.bincount(self.group)
@@ -138,162 +138,172 @@ class Judge:
         self.start = Variances(
             np.full((joints, 2 * groups), 0.5), np.full(joints, 0.2), np.ones((groups, joints, windows))
         )
-        self._f = rows.features.reshape(joints, -1, rows.features.shape[-1])
-        self._kept: tuple[Variances, tuple] | None = None
-        least, most = (np.broadcast_to(end, numbers.mean.shape) for end in (numbers.least, numbers.most))
-        self._bounded = np.flatnonzero(np.isfinite(least) | np.isfinite(most))
-        self._ends = least[self._bounded], most[self._bounded]
+        self._features = rows.features.reshape(joints, -1, rows.features.shape[-1])
+        self._start_gram: tuple[Variances, tuple] | None = None
+        lower, upper = (np.broadcast_to(bound, priors.mean.shape) for bound in (priors.lower, priors.upper))
+        self._bounded = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        self._bounds = lower[self._bounded], upper[self._bounded]
 
-    def variance(self, joint: int, state: Variances) -> np.ndarray:
-        """Of every row, ``[window, row]``."""
-        known = self.rows.variance[joint] + state.noise[joint, self.rows.kinds] ** 2
-        return known / state.weight[self.group, joint].T
+    def variance(self, joint: int, variances: Variances) -> np.ndarray:
+        """Variance of a joint's rows, ``[window, row]``."""
+        total = self.rows.variance[joint] + variances.noise[joint, self.rows.kinds] ** 2
+        return total / variances.weight[self.group, joint].T
 
-    def _gram(self, state: Variances) -> tuple[np.ndarray, float, list]:
-        """Products of measurement and numbers under the noise, each joint's law integrated out; log determinant."""
-        size, total = len(self.numbers.mean) + 1, 0.0
-        gram, kept = np.zeros((size, size)), []
-        for j, f in enumerate(self._f):
-            values = self.rows.values[j]
-            x = np.concatenate([self.rows.measured[j].ravel()[None], values.reshape(len(values), f.shape[0])])
-            variance = self.variance(j, state).ravel()
-            seen = np.isfinite(variance)
-            root = np.sqrt(np.where(seen, 1.0 / variance, 0.0))
-            scaled, features = x * root, f * root[:, None]
-            factor = np.linalg.cholesky(features.T @ features + np.eye(f.shape[1]) / state.law[j] ** 2)
-            half = linalg.solve_triangular(factor, features.T @ scaled.T, lower=True, check_finite=False)
-            at = np.concatenate([[0], self.rows.columns[j] + 1])
-            gram[np.ix_(at, at)] += scaled @ scaled.T - half.T @ half
-            total += np.log(variance[seen]).sum() + 2 * np.log(np.diag(factor)).sum()
-            total += f.shape[1] * np.log(state.law[j] ** 2)
-            kept.append((factor, half))
-        return gram, total, kept
+    def _gram(self, variances: Variances) -> tuple[np.ndarray, float, list]:
+        """Whitened products of residual and design, unmodelled torque integrated out; -2 log determinant; factors."""
+        size, logdet = len(self.priors.mean) + 1, 0.0
+        gram, factors = np.zeros((size, size)), []
+        for j, f in enumerate(self._features):
+            design = self.rows.design[j]
+            x = np.concatenate([self.rows.residual[j].ravel()[None], design.reshape(len(design), f.shape[0])])
+            variance = self.variance(j, variances).ravel()
+            valid = np.isfinite(variance)
+            root = np.sqrt(np.where(valid, 1.0 / variance, 0.0))
+            whitened, features = x * root, f * root[:, None]
+            factor = np.linalg.cholesky(features.T @ features + np.eye(f.shape[1]) / variances.unmodelled[j] ** 2)
+            half = linalg.solve_triangular(factor, features.T @ whitened.T, lower=True, check_finite=False)
+            columns = np.concatenate([[0], self.rows.coefficients[j] + 1])
+            gram[np.ix_(columns, columns)] += whitened @ whitened.T - half.T @ half
+            logdet += np.log(variance[valid]).sum() + 2 * np.log(np.diag(factor)).sum()
+            logdet += f.shape[1] * np.log(variances.unmodelled[j] ** 2)
+            factors.append((factor, half))
+        return gram, logdet, factors
 
-    def sums(self, named: Sequence[int]) -> np.ndarray:
-        """Which numbers candidates move, ``[number, candidate]``."""
-        sums = np.zeros((len(self.numbers.mean), len(named)))
+    def membership(self, named: Sequence[int]) -> np.ndarray:
+        """Which coefficients each candidate changes, ``[coefficient, candidate]``."""
+        matrix = np.zeros((len(self.priors.mean), len(named)))
         for column, candidate in enumerate(named):
-            sums[list(self.numbers.members[candidate]), column] = 1.0
-        return sums
+            matrix[list(self.priors.members[candidate]), column] = 1.0
+        return matrix
 
-    def fit(self, named: Sequence[int] = (), state: Variances | None = None, rounds: int = 4) -> Posterior:
-        """Numbers and variances by rounds of expectation-maximisation from a state on, some candidates named: there as
-        much as the slab allows, beside their spikes."""
-        n, sums, given = self.numbers, self.sums(named), state or self.start
-        state = given.copy()
-        mean = np.concatenate([n.mean, np.zeros(len(named))])
-        precision = 1.0 / np.concatenate([n.deviation, n.slab[list(named)]]) ** 2
+    def fit(self, named: Sequence[int] = (), variances: Variances | None = None, rounds: int = 4) -> Posterior:
+        """Posterior of the coefficients and estimates of the variances by expectation-maximisation.
+
+        Args:
+            named: candidates that have their slab beside their spikes.
+            variances: initial variances.
+            rounds: rounds of expectation-maximisation.
+        """
+        priors, membership, start = self.priors, self.membership(named), variances or self.start
+        variances = start.copy()
+        mean = np.concatenate([priors.mean, np.zeros(len(named))])
+        precision = 1.0 / np.concatenate([priors.deviation, priors.slab[list(named)]]) ** 2
         for number in range(rounds + 1):
-            if number == 0:  # fits of many candidates start from one state
-                if self._kept is None or self._kept[0] is not given:
-                    self._kept = given, self._gram(given)
-                gram, logdet, kept = self._kept[1]
+            if number == 0:  # fits of many candidates start from the same variances
+                if self._start_gram is None or self._start_gram[0] is not start:
+                    self._start_gram = start, self._gram(start)
+                gram, logdet, factors = self._start_gram[1]
             else:
-                gram, logdet, kept = self._gram(state)
-            across = gram[:, 1:] @ sums
-            products = np.block([[gram[1:, 1:], across[1:]], [across[1:].T, sums.T @ across[1:]]])
+                gram, logdet, factors = self._gram(variances)
+            across = gram[:, 1:] @ membership
+            products = np.block([[gram[1:, 1:], across[1:]], [across[1:].T, membership.T @ across[1:]]])
             linear = np.concatenate([gram[1:, 0], across[0]])
             products[np.diag_indices_from(products)] += precision
             factor = linalg.cho_factor(products, lower=True, check_finite=False)
             x = linalg.cho_solve(factor, linear + precision * mean, check_finite=False)
-            felt = x[: len(n.mean)] + sums @ x[len(n.mean) :]
-            laws = tuple(
-                linalg.solve_triangular(triangle, half[:, 0] - half[:, 1:] @ felt[at], trans=1, lower=True)
-                for (triangle, half), at in zip(kept, self.rows.columns, strict=True)
+            amplitudes = x[: len(priors.mean)] + membership @ x[len(priors.mean) :]
+            weights = tuple(
+                linalg.solve_triangular(triangle, half[:, 0] - half[:, 1:] @ amplitudes[columns], trans=1, lower=True)
+                for (triangle, half), columns in zip(factors, self.rows.coefficients, strict=True)
             )
             if number == rounds:
                 break
-            self._maximise(state, felt, laws, [triangle for triangle, _ in kept])
-        # minus two log likelihood and prior at the maximum, where half of the linear part is left
+            self._maximise(variances, amplitudes, weights, [triangle for triangle, _ in factors])
+        # -2 log likelihood and prior at the maximum, which contains the linear term once
         square = gram[0, 0] + (mean**2 * precision).sum() - (linear + precision * mean) @ x
         logdet += 2 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
-        picked = np.eye(len(x))[:, self._bounded]
-        deviation = np.linalg.norm(linalg.solve_triangular(factor[0], picked, lower=True, check_finite=False), axis=0)
-        within = float(log_mass(*self._ends, x[self._bounded], deviation).sum())
-        return Posterior(x, products, -0.5 * (square + logdet) + within + self._hyper(state), laws, state)
+        unit = np.eye(len(x))[:, self._bounded]
+        deviation = np.linalg.norm(linalg.solve_triangular(factor[0], unit, lower=True, check_finite=False), axis=0)
+        in_bounds = float(log_mass(*self._bounds, x[self._bounded], deviation).sum())
+        evidence = -0.5 * (square + logdet) + in_bounds + self._variance_prior(variances)
+        return Posterior(x, products, evidence, weights, variances)
 
-    def _hyper(self, state: Variances) -> float:
+    def _variance_prior(self, variances: Variances) -> float:
         """Log prior of the variances."""
         s = self.settings
-        result = -0.5 * (((np.log(state.noise[:, :2] / s.noise)) / s.noise_spread) ** 2).sum()
-        result -= 0.5 * ((np.log(state.law / s.law) / s.law_spread) ** 2).sum()
+        result = -0.5 * (((np.log(variances.noise[:, :2] / s.noise)) / s.noise_spread) ** 2).sum()
+        result -= 0.5 * ((np.log(variances.unmodelled / s.unmodelled) / s.unmodelled_spread) ** 2).sum()
         if not self.gaussian:
-            w = state.weight
+            w = variances.weight
             result += ((self.tails / 2 - 1) * np.log(w) - self.tails / 2 * w).sum()
         return float(result)
 
-    def residual(self, joint: int, x: np.ndarray, law: np.ndarray) -> np.ndarray:
-        """What numbers, named candidates added to them, and law leave of a joint's rows, ``[window, row]``."""
-        made = np.tensordot(x[self.rows.columns[joint]], self.rows.values[joint], 1)
-        return self.rows.measured[joint] - made - self.rows.features[joint] @ law
+    def residual(self, joint: int, x: np.ndarray, feature_weights: np.ndarray) -> np.ndarray:
+        """Residual of a joint's rows after coefficients ``x`` and unmodelled torque, ``[window, row]``."""
+        predicted = np.tensordot(x[self.rows.coefficients[joint]], self.rows.design[joint], 1)
+        return self.rows.residual[joint] - predicted - self.rows.features[joint] @ feature_weights
 
-    def _maximise(self, state: Variances, x: np.ndarray, laws: Sequence[np.ndarray], factors: Sequence) -> None:
-        """New noise, weights and sizes of the laws."""
+    def _maximise(self, variances: Variances, x: np.ndarray, weights: Sequence[np.ndarray], factors: Sequence) -> None:
+        """The maximisation step: noise, Student weights and scales of the unmodelled torque."""
         s = self.settings
-        for j, (law, factor) in enumerate(zip(laws, factors, strict=True)):
-            f, known = self._f[j], self.rows.variance[j]
+        for j, (feature_weights, factor) in enumerate(zip(weights, factors, strict=True)):
+            f, sensor_variance = self._features[j], self.rows.variance[j]
             inverse = linalg.solve_triangular(factor, np.eye(f.shape[1]), lower=True)
-            square = self.residual(j, x, law) ** 2 + np.square(f @ inverse.T).sum(1).reshape(known.shape)
-            for kind in range(state.noise.shape[1]):
-                mine = self.rows.kinds == kind
-                weight = state.weight[kind // 2, j][:, None]
-                seen = np.isfinite(known[:, mine])
-                if not seen.any():
+            square = self.residual(j, x, feature_weights) ** 2
+            square = square + np.square(f @ inverse.T).sum(1).reshape(sensor_variance.shape)
+            for kind in range(variances.noise.shape[1]):
+                rows = self.rows.kinds == kind
+                weight = variances.weight[kind // 2, j][:, None]
+                valid = np.isfinite(sensor_variance[:, rows])
+                if not valid.any():
                     continue
-                tried = known[:, mine][seen][:, None] + GRID**2
-                cost = (np.log(tried) + (square[:, mine] * weight)[seen][:, None] / tried).sum(0)
+                total = sensor_variance[:, rows][valid][:, None] + NOISE_GRID**2
+                cost = (np.log(total) + (square[:, rows] * weight)[valid][:, None] / total).sum(0)
                 if kind < 2:
-                    cost = cost + (np.log(GRID / s.noise) / s.noise_spread) ** 2
-                state.noise[j, kind] = GRID[cost.argmin()]
+                    cost = cost + (np.log(NOISE_GRID / s.noise) / s.noise_spread) ** 2
+                variances.noise[j, kind] = NOISE_GRID[cost.argmin()]
             if not self.gaussian:
-                whole = known + state.noise[j, self.rows.kinds] ** 2
+                total = sensor_variance + variances.noise[j, self.rows.kinds] ** 2
                 for g in range(len(self.counts)):
-                    mine = self.group == g
-                    distance = (square[:, mine] / whole[:, mine]).sum(1)
-                    state.weight[g, j] = (self.tails + self.counts[g] - 2) / (self.tails + distance)
-            size, prior = len(law), 1 / s.law_spread**2
-            found = 0.5 * np.log((law**2 + np.square(inverse).sum(0)).mean())
-            state.law[j] = np.clip(np.exp((size * found + prior * np.log(s.law)) / (size + prior)), 0.01, 30.0)
+                    rows = self.group == g
+                    distance = (square[:, rows] / total[:, rows]).sum(1)
+                    variances.weight[g, j] = (self.tails + self.counts[g] - 2) / (self.tails + distance)
+            size, prior = len(feature_weights), 1 / s.unmodelled_spread**2
+            log_scale = 0.5 * np.log((feature_weights**2 + np.square(inverse).sum(0)).mean())
+            scale = np.exp((size * log_scale + prior * np.log(s.unmodelled)) / (size + prior))
+            variances.unmodelled[j] = np.clip(scale, 0.01, 30.0)
 
-    def of_candidates(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
-        """What the rows say of how much more than a little there is of each candidate: linear term and curvature."""
-        size, prior = len(self.numbers.mean), 1.0 / self.numbers.deviation**2
+    def likelihood_terms(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
+        """Linear term and curvature of the log likelihood in each candidate's slab amplitude, all else integrated
+        out, ``[candidate]``."""
+        size, prior = len(self.priors.mean), 1.0 / self.priors.deviation**2
         covariance = fit.covariance[:size, :size]
-        left = np.diag(prior) - prior[:, None] * covariance * prior
-        linear = prior * (fit.mean[:size] - self.numbers.mean)
-        curvature = [left[np.ix_(one, one)].sum() for one in map(list, self.numbers.members)]
-        return np.array([linear[list(one)].sum() for one in self.numbers.members]), np.maximum(curvature, 1e-12)
+        information = np.diag(prior) - prior[:, None] * covariance * prior
+        linear = prior * (fit.mean[:size] - self.priors.mean)
+        curvature = [information[np.ix_(member, member)].sum() for member in map(list, self.priors.members)]
+        return np.array([linear[list(m)].sum() for m in self.priors.members]), np.maximum(curvature, 1e-12)
 
     def scores(self, fit: Posterior) -> np.ndarray:
-        """Log odds of slab and spike against spike alone with the place's prior, ``[candidate]``."""
-        n = self.numbers
-        linear, curvature = self.of_candidates(fit)
-        found = evidence(linear, curvature, 0.0, n.slab, n.low, n.high) + n.place
-        return found + self._room(fit, linear, curvature)
+        """Log odds of slab and spike against the spike alone, with the hypothesis' prior, ``[candidate]``."""
+        p = self.priors
+        linear, curvature = self.likelihood_terms(fit)
+        slab = evidence(linear, curvature, 0.0, p.slab, p.low, p.high) + p.log_prior
+        return slab + self._bounds_evidence(fit, linear, curvature)
 
-    def _room(self, fit: Posterior, linear: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Log probability that the base is within its ranges with each candidate against without, ``[candidate]``."""
-        n, at = self.numbers, self._bounded
-        mean, covariance = fit.mean[at, None], fit.covariance[at, : len(n.mean)]
-        square, least, most = covariance[np.arange(len(at)), at, None], *(end[:, None] for end in self._ends)
-        variance = 1.0 / (curvature + 1.0 / n.slab**2)
-        pull = (covariance / n.deviation**2) @ self.sums(range(len(n.members)))
-        moved = mean + pull * np.clip(linear * variance, n.low, n.high)
-        with_it = log_mass(least, most, moved, np.sqrt(square + pull**2 * variance))
-        return (with_it - log_mass(least, most, mean, np.sqrt(square))).sum(0)
+    def _bounds_evidence(self, fit: Posterior, linear: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Log ratio of the probabilities that the baseline's parameters are within their bounds, with each candidate
+        and without, ``[candidate]``."""
+        p, bounded = self.priors, self._bounded
+        mean, covariance = fit.mean[bounded, None], fit.covariance[bounded, : len(p.mean)]
+        square, lower, upper = covariance[np.arange(len(bounded)), bounded, None], *(b[:, None] for b in self._bounds)
+        variance = 1.0 / (curvature + 1.0 / p.slab**2)
+        slope = (covariance / p.deviation**2) @ self.membership(range(len(p.members)))
+        shifted = mean + slope * np.clip(linear * variance, p.low, p.high)
+        with_candidate = log_mass(lower, upper, shifted, np.sqrt(square + slope**2 * variance))
+        return (with_candidate - log_mass(lower, upper, mean, np.sqrt(square))).sum(0)
 
-    def products(self, state: Variances) -> np.ndarray:
-        """Products of the numbers' columns under the noise, every joint's law integrated out, ``[number, number]``."""
-        return self._gram(state)[0][1:, 1:]
+    def gram(self, variances: Variances) -> np.ndarray:
+        """Whitened products of the design, unmodelled torque integrated out, ``[coefficient, coefficient]``."""
+        return self._gram(variances)[0][1:, 1:]
 
-    def misfit(self, measured: np.ndarray, fit: Posterior) -> float:
-        """Minus two log likelihood (but for constants) of other rows ``[joint, window, row]``, as noisy as a fit's."""
+    def misfit(self, residual: np.ndarray, fit: Posterior) -> float:
+        """-2 log likelihood, without constants, of other residuals ``[joint, window, row]`` under a fit's variances."""
         total = 0.0
-        for j, f in enumerate(self._f):
-            variance = self.variance(j, fit.state).ravel()
+        for j, f in enumerate(self._features):
+            variance = self.variance(j, fit.variances).ravel()
             precision = np.where(np.isfinite(variance), 1.0 / variance, 0.0)
-            y = measured[j].ravel()
-            inner = f.T @ (f * precision[:, None]) + np.eye(f.shape[1]) / fit.state.law[j] ** 2
+            y = residual[j].ravel()
+            inner = f.T @ (f * precision[:, None]) + np.eye(f.shape[1]) / fit.variances.unmodelled[j] ** 2
             across = f.T @ (precision * y)
             total += float(y @ (precision * y) - across @ linalg.solve(inner, across, assume_a="pos"))
         return total
@@ -307,16 +317,16 @@ def evidence(
     low: np.ndarray | float = -np.inf,
     high: np.ndarray | float = np.inf,
 ) -> np.ndarray:
-    """Log of ``exp(linear a - curvature a^2 / 2)`` averaged over a normal prior, truncated to ``[low, high]``."""
+    """Log of the mean of ``exp(linear a - curvature a^2 / 2)`` over a normal prior truncated to ``[low, high]``."""
     precision = 1.0 / deviation**2
     variance = 1.0 / (curvature + precision)
-    at = variance * (linear + precision * mean)
-    result = 0.5 * (at**2 / variance - precision * mean**2) + 0.5 * np.log(precision * variance)
-    return result + log_mass(low, high, at, np.sqrt(variance)) - log_mass(low, high, mean, deviation)
+    posterior_mean = variance * (linear + precision * mean)
+    result = 0.5 * (posterior_mean**2 / variance - precision * mean**2) + 0.5 * np.log(precision * variance)
+    return result + log_mass(low, high, posterior_mean, np.sqrt(variance)) - log_mass(low, high, mean, deviation)
 
 
 def log_mass(low, high, mean, deviation) -> np.ndarray:
-    """Log of a normal's mass between two ends, accurate in the tails."""
+    """Log probability of an interval under a normal distribution, accurate in the tails."""
     a, b = (low - mean) / deviation, (high - mean) / deviation
     a, b = np.where(a > 0, -b, a), np.where(a > 0, -a, b)
     upper, lower = norm.logcdf(b), norm.logcdf(a)

@@ -1,59 +1,59 @@
-"""Every tuned number of the judge, in one table, each with its reason."""
+"""The tuned constants of the diagnosis in one table, and the constants of its windows.
+
+All other constants of the package are labelled in their docstrings: *numerical* (a grid or a tolerance), *budget* (more
+costs time and changes little), *data sheet* or *display*.
+"""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Tuned constants; torques are in `torque_unit`s, one hundredth of what the robot's busiest joint gives.
+    """Tuned constants. Torques are in torque units: one hundredth of the 95 % quantile of the busiest joint's torque.
 
     Attributes:
-        spike: torque up to which every law is a little wrong, root mean square [units]. Sound robots of other
-            simulators leave 0.1 to 0.3 of it behind their best base.
-        spike_ends: the spike as a share of the slab, least and most: an effect that hardly shows may be there, and one
-            that shows in every window needs room to be found.
-        slab: standard deviation of a finding's size, as a share of what is plausible for it.
-        faulty: how many times larger than plausible of a sound robot a fault may be.
-        edge: how many standard deviations an edge-of-sticking window may move when the base's numbers move by
-            `edge_share`.
-        edge_share: by how much no law's numbers are known [-].
-        tails: degrees of freedom of Student's noise: a window in ten is wild where joints stick and slip.
-        noise: usual noise of a joint [units], a log-normal's median; estimated per joint about it.
-        noise_spread: standard deviation of its logarithm.
-        law: usual size of what a joint does and nobody explains [units], estimated per joint about it.
-        law_spread: standard deviation of its logarithm, and of that of the servos' spread.
-        features: of a joint's unexplained law; twice as many change no name.
-        alarm: log odds from which on a candidate is proposed: what sound robots reach now and then.
-        threshold: standard errors over runs by which a model has to predict runs that were left out better with an
-            effect than without, at which it is as likely there as not.
-        steepness: by which each further standard error multiplies the odds, as a logarithm.
-        least_load: share of a joint's torque that an effect has to make to matter.
-        least_floor: ratio to the noise of one window's torque, current or rate that an effect has to have to matter:
-            25 windows show a fifth.
-        form: standard deviation of a finding's size, as a share of it: no law is quite the robot's, and of eleven sizes
-            found on robots of another simulator ten were off by 2 to 28 %.
-        windows: of the fitted runs; more add what model error repeats. None: five of each run, at least 72.
-        leaders: candidates that are estimated anew with everything else in each round.
+        spike: RMS torque of the error that every law has [torque units], the scale of the spike prior. Sound robots of
+            other simulators show 0.1 to 0.3 after their best baseline fit.
+        spike_range: smallest and largest spike as a share of the slab.
+        slab: standard deviation of a finding's size as a share of the catalogue's range.
+        fault_factor: largest size of a fault as a multiple of the catalogue's range.
+        edge: standard deviations of the extra noise of windows in which a joint is about to stick.
+        edge_share: relative change of the baseline's parameters that defines how sensitive such a window is.
+        tails: degrees of freedom of Student's noise; about one window in ten is an outlier where joints stick and slip.
+        noise: median of the log-normal prior of a joint's noise [torque units].
+        noise_spread: standard deviation of the logarithm of that prior.
+        unmodelled: median of the log-normal prior of a joint's unmodelled torque [torque units].
+        unmodelled_spread: standard deviation of its logarithm, also used for the spread between servos.
+        features: number of random features of a joint's unmodelled torque; twice as many change no name.
+        alarm: log odds above which a candidate is proposed; sound robots rarely reach it.
+        threshold: gain in standard errors over held-out runs at which a finding has probability one half.
+        steepness: change of a finding's log odds per standard error.
+        min_load: smallest relevant share of a joint's RMS torque.
+        min_floor: smallest relevant ratio of an effect to the noise of one window; 25 windows resolve a fifth.
+        form_error: relative error of a finding's size because its law is only similar to the robot's; ten of eleven
+            sizes found on robots of another simulator were off by 2 to 28 %.
+        windows: number of windows of the fitted runs; None: five per run, at least 72.
+        leaders: hypotheses whose evidence is computed with all other parameters free in each round.
     """
 
     spike: float = 0.2
-    spike_ends: tuple[float, float] = (0.02, 0.4)
+    spike_range: tuple[float, float] = (0.02, 0.4)
     slab: float = 0.5
-    faulty: float = 1.6
+    fault_factor: float = 1.6
     edge: float = 2.0
     edge_share: float = 0.05
     tails: float = 4.0
     noise: float = 0.3
     noise_spread: float = 0.7
-    law: float = 0.15
-    law_spread: float = 0.5
+    unmodelled: float = 0.15
+    unmodelled_spread: float = 0.5
     features: int = 40
     alarm: float = 6.0
     threshold: float = 2.0
     steepness: float = 2.0
-    least_load: float = 0.01
-    least_floor: float = 0.2
-    form: float = 0.2
+    min_load: float = 0.01
+    min_floor: float = 0.2
+    form_error: float = 0.2
     windows: int | None = None
     leaders: int = 6
 
@@ -61,9 +61,12 @@ class Settings:
 SETTINGS = Settings()
 
 FLOORS = {("joint", "position"): 0.0005, ("joint", "velocity"): 0.010, ("joint", "current"): 0.0035}
-"""Of a reading [rad, rad/s, A]: a count of a 4096-step encoder and of 0.024 rad/s over sqrt(12), and a little more
-(ROBOTIS e-Manual, XM430; Feetech's magnetic encoders have as many steps). A current is noisier than its count of
-2.69 mA, by how much no maker says: 1.3 counts are our own choice."""
+"""Standard deviations of readings [rad, rad/s, A]. Data sheet: one count of a 4096-step encoder and of 0.024 rad/s,
+divided by sqrt(12), plus a small margin (ROBOTIS e-Manual, XM430; Feetech's encoders have the same resolution). Current
+is noisier than its count of 2.69 mA; no data sheet states its noise, so 1.3 counts are assumed."""
 
 PIECES = 4
-"""Pieces of a window in each of which the torque is constant."""
+"""Numerical: pieces of a window, each with a constant unmodelled torque."""
+
+MIN_WINDOWS = 72
+"""Budget: smallest number of windows of the fitted runs."""

@@ -1,4 +1,4 @@
-"""Logs of several mounts: what is found on the stand, shown apart on logs of the robot on its feet."""
+"""Logs of several mounts: the stand is diagnosed, and its models are compared on logs of the robot on the floor."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,14 +9,14 @@ from op3.rollout import LogError, Rollout
 from op3.servo import RobotModel
 
 BEGINNING = 5.0
-"""How much of a log of a robot on its feet is predicted [s]: what comes after a run has gone astray says nothing."""
+"""Display: simulated duration of a log of another mount [s]; a robot on the floor soon diverges from its log."""
 
 FIRST = ("stand", "pendulum", "floor")
-"""Mounts whose logs are diagnosed if there are any, the first of them that there is: the stand tells most of servos."""
+"""Mounts in the order of preference: the stand shows most about servos."""
 
 
 def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, list[Rollout]]]:
-    """The logs that are diagnosed, and those of other mounts, on which what is found is shown apart.
+    """The logs that are diagnosed, and the logs of other mounts, on which the gap is reported.
 
     Raises:
         LogError: if logs are of different robots, servos or joints, or of a bench and of a robot.
@@ -34,13 +34,13 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
     fields = {"robot_file": "robots", "robot": "kinds of robots", "servo": "servos"}
     for field, what in fields.items():
         of_robot = field == "robot_file"
-        told = {log.robot.reference if of_robot else getattr(log.metadata, field): log for log in logs}
-        told.pop(None, None)
-        if len(told) > 1:
+        values = {log.robot.reference if of_robot else getattr(log.metadata, field): log for log in logs}
+        values.pop(None, None)
+        if len(values) > 1:
             raise LogError(
-                f"the logs are of different {what} ({', '.join(sorted(told))})",
+                f"the logs are of different {what} ({', '.join(sorted(values))})",
                 "diagnose the logs of each separately",
-                source=list(told.values())[-1].metadata.recording,
+                source=list(values.values())[-1].metadata.recording,
                 column=field,
             )
     for log in logs:
@@ -58,15 +58,15 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
 def on_other_mounts(
     before: RobotModel, after: RobotModel, others: dict[str, list[Rollout]], seed: int = 0
 ) -> dict[str, dict[str, Any]]:
-    """Gap and loss under two models on the first `BEGINNING` seconds of logs that neither was fitted to, by mount.
+    """Gap and loss of two models on the first `BEGINNING` seconds of logs to which neither was fitted, by mount.
 
     Returns:
-        By mount ``logs``, how many; ``seconds`` of the longest; ``gap`` and ``loss`` as of a verdict.
+        By mount the number of ``logs``, the ``seconds`` of the longest, and ``gap`` and ``loss`` as in a verdict.
     """
     result = {}
     for mount, logs in others.items():
-        begun = [(log, float(log.array("time")[0, 0])) for log in logs]
-        parts = tuple(log.between(start, start + BEGINNING) for log, start in begun)
+        starts = [float(log.array("time")[0, 0]) for log in logs]
+        parts = tuple(log.between(start, start + BEGINNING) for log, start in zip(logs, starts, strict=True))
         shown = show(before, after, LogSplit((), parts, repeats(parts)), seed=seed)
         longest = max(part.duration for part in parts)
         result[mount] = {"logs": len(parts), "seconds": longest, "gap": shown["gap"], "loss": shown["loss"]}

@@ -1,4 +1,4 @@
-"""What a search for findings passes on: proposals, refits of them, names, and the judge around what is named."""
+"""Data that the search for findings passes on: proposals, refits, named effects, and the linear model around them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,73 +6,77 @@ from dataclasses import dataclass
 import numpy as np
 
 from op3.diagnose.base import Baseline
-from op3.diagnose.candidates import Candidate, place_priors, secants_of_place
+from op3.diagnose.candidates import Candidate, log_priors, secant_counts
 from op3.diagnose.coordinates import Coordinate
-from op3.diagnose.held_out import Gain, HeldOutScore
-from op3.diagnose.judge import Judge, Numbers, Posterior, Rows, Variances
+from op3.diagnose.held_out import Gain
+from op3.diagnose.judge import CoefficientPriors, Judge, Posterior, Rows, Variances
 from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.relevance import Relevance
 
-NOTHING = 1e-6
-"""Torque below which a candidate does nothing here [units]."""
+NEGLIGIBLE = 1e-6
+"""Numerical: RMS torque below which a candidate has no influence [torque units]."""
+
+
+SIMILAR = 0.7
+"""Correlation of gains over runs and joints, or of columns over rows, above which two effects are alternatives."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A candidate with the size that is linear in the judge's rows.
+    """A candidate with its size in the linear model.
 
     Attributes:
-        number: of the candidate.
-        step: how far the base's numbers move with it, ``[coordinate]``.
+        index: of the candidate.
+        step: change of the baseline's coordinates with it, ``[coordinate]``.
         share: of its secant.
-        state: the judge's variances.
+        variances: of the linear model with it.
     """
 
-    number: int
+    index: int
     step: np.ndarray
     share: float
-    state: Variances
+    variances: Variances
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A candidate fitted with everything else, nonlinearly.
+    """The baseline refitted with a candidate in the nonlinear simulation.
 
     Attributes:
-        log_odds: by the evidence of the windows that were fitted.
+        log_odds: by the evidence of the fitted windows.
         base: the fit.
-        number: of the candidate.
+        index: of the candidate.
     """
 
     log_odds: float
     base: Baseline
-    number: int
+    index: int
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A name that predicts runs that were left out as well as a finding's, and the same of them.
+    """A candidate that predicts held-out runs as well as a finding, and in the same runs and joints.
 
     Attributes:
-        candidate: what it is.
-        behind: the finding's gain on it.
+        candidate: effect and joints.
+        finding_gain: the finding's gain over it.
     """
 
     candidate: Candidate
-    behind: Gain
+    finding_gain: Gain
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
-    """An effect that was found.
+class NamedEffect:
+    """An accepted candidate.
 
     Attributes:
-        candidate: what it is.
-        coordinates: its numbers in the fit, its size the first.
-        log_odds: by the evidence of the windows that were fitted, when it was named.
-        gain: of the model with it on the model without, in runs that were left out.
-        relevance: what it does.
-        rivals: names that are not distinguished from it.
+        candidate: effect and joints.
+        coordinates: its coordinates in the fit, the size first.
+        log_odds: by the evidence of the fitted windows when it was named.
+        gain: held-out gain of the model with it over the model without it.
+        relevance: torque that it produces.
+        rivals: candidates that are not distinguishable from it.
     """
 
     candidate: Candidate
@@ -84,83 +88,120 @@ class Named:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """A refit as it would be named.
+class ScoredRefit:
+    """A refit with its held-out result.
 
     Attributes:
-        named: what it is, and what it gains on the model without it.
+        effect: the candidate as it would be named.
         base: the fit.
-        score: of runs that were left out.
+        density: held-out log densities, ``[run, joint]``.
     """
 
-    named: Named
+    effect: NamedEffect
     base: Baseline
-    score: HeldOutScore
+    density: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class NamingStage:
-    """The judge around a base with some effects named.
+    """The linear model around a baseline that includes the effects named so far.
 
     Attributes:
-        base: the fit, the named effects' numbers the last of its own.
-        named: the effects.
-        found: candidates.
-        columns: of those in one joint or in all, by key, ``[joint, window, row]``.
-        judge: of them.
-        fit: with nothing else named.
+        base: the fit, the coordinates of the named effects last.
+        named: the named effects.
+        candidates: all other candidates.
+        columns: of the elementary candidates by key, ``[joint, window, row]``.
+        judge: the linear model.
+        fit: its posterior with no further effect.
     """
 
     base: Baseline
-    named: tuple[Named, ...]
-    found: tuple[Candidate, ...]
+    named: tuple[NamedEffect, ...]
+    candidates: tuple[Candidate, ...]
     columns: Mapping[tuple, np.ndarray]
     judge: Judge
     fit: Posterior
 
 
-def numbers_of(
-    base: Baseline, found: Sequence[Candidate], parts: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
-) -> Numbers:
-    """Priors of the base's numbers and of the candidates.
+def coefficient_priors(
+    base: Baseline,
+    candidates: Sequence[Candidate],
+    keys: Sequence[tuple],
+    rows: Rows,
+    settings: Settings = SETTINGS,
+) -> CoefficientPriors:
+    """Priors of the baseline's coordinates and of the candidates.
 
-    A spike is what makes so much torque, root mean square over the joints that feel it; the secants of one effect in
-    one place share it, and the place's prior. Parts are keys of candidates in one joint or in all, of which the others
-    are sums.
+    The spike of a candidate is the amplitude with RMS torque `spike` over the joints that it moves. The candidates of
+    one hypothesis share it and the prior of the hypothesis.
+
+    Args:
+        base: the baseline.
+        candidates: the candidates.
+        keys: of the elementary candidates, in the order of their columns.
+        rows: the linear model.
+        settings: tuned constants.
     """
-    own, number = base.numbers, {key: i for i, key in enumerate(parts)}
-    model = base.model
-    low, high, slab = np.array([one.reach(model, settings) for one in found]).reshape(-1, 3).T
-    size = _torques(rows, len(base.point), len(parts))
-    spike, secants = np.full(len(parts), 1e-9), secants_of_place(found)
-    for one, wide, count in zip(found, slab, secants, strict=True):
-        i = number.get(one.key)
-        if i is not None and size[i] > NOTHING:
-            ends = settings.spike_ends[0] * wide, settings.spike_ends[1] * wide
-            spike[i] = np.clip(settings.spike / size[i], *ends) / np.sqrt(count)
-    members = [tuple(number[key] for key in one.parts if key in number) for one in found]
-    seen = np.array([max((size[i] for i in one), default=0.0) > NOTHING for one in members], bool)
-    return Numbers(
-        np.concatenate([own.mean, np.zeros(len(parts))]),
+    own, index, count = base.priors, {key: i for i, key in enumerate(keys)}, len(base.point)
+    low, high, slab = np.array([c.size_range(base.model, settings) for c in candidates]).reshape(-1, 3).T
+    torque = _rms_torques(rows, count, len(keys))
+    spike, secants = np.full(len(keys), 1e-9), secant_counts(candidates)
+    for candidate, slab_deviation, secant_count in zip(candidates, slab, secants, strict=True):
+        i = index.get(candidate.key)
+        if i is not None and torque[i] > NEGLIGIBLE:
+            bounds = settings.spike_range[0] * slab_deviation, settings.spike_range[1] * slab_deviation
+            spike[i] = np.clip(settings.spike / torque[i], *bounds) / np.sqrt(secant_count)
+    members = [tuple(index[key] for key in candidate.components if key in index) for candidate in candidates]
+    active = np.array([max((torque[i] for i in member), default=0.0) > NEGLIGIBLE for member in members], bool)
+    unbounded = np.full(len(keys), np.inf)
+    return CoefficientPriors(
+        np.concatenate([own.mean, np.zeros(len(keys))]),
         np.concatenate([own.deviation, spike]),
-        tuple(tuple(len(base.point) + i for i in one) for one in members),
+        tuple(tuple(count + i for i in member) for member in members),
         slab,
         low,
         high,
-        np.where(seen, place_priors(found) - np.log(secants), -np.inf),
-        np.concatenate([own.least, np.full(len(parts), -np.inf)]),
-        np.concatenate([own.most, np.full(len(parts), np.inf)]),
+        np.where(active, log_priors(candidates) - np.log(secants), -np.inf),
+        np.concatenate([own.lower, -unbounded]),
+        np.concatenate([own.upper, unbounded]),
     )
 
 
-def _torques(rows: Rows, own: int, count: int) -> np.ndarray:
-    """What each column behind the base's makes, root mean square over the joints that feel it [units], ``[column]``."""
-    square, felt, torque = np.zeros(count), np.zeros(count), rows.kinds < 2
-    for columns, values, variance in zip(rows.columns, rows.values, rows.variance, strict=True):
-        mine, seen = columns >= own, np.isfinite(variance[:, 0])
-        part = np.abs(values[mine][:, seen][..., torque]).reshape(int(mine.sum()), -1)
-        if part.size:
-            part = np.minimum(part, np.quantile(part, 0.97, axis=1, keepdims=True))
-            square[columns[mine] - own] += np.square(part).sum(1)
-            felt[columns[mine] - own] += part.shape[1]
-    return np.sqrt(square / np.maximum(felt, 1))
+def _rms_torques(rows: Rows, first: int, count: int) -> np.ndarray:
+    """RMS torque of each column after the baseline's, over the joints that it moves [torque units], ``[column]``."""
+    square, samples, torque = np.zeros(count), np.zeros(count), rows.kinds < 2
+    for coefficients, design, variance in zip(rows.coefficients, rows.design, rows.variance, strict=True):
+        further, valid = coefficients >= first, np.isfinite(variance[:, 0])
+        size = np.abs(design[further][:, valid][..., torque]).reshape(int(further.sum()), -1)
+        if size.size:
+            size = np.minimum(size, np.quantile(size, 0.97, axis=1, keepdims=True))
+            square[coefficients[further] - first] += np.square(size).sum(1)
+            samples[coefficients[further] - first] += size.shape[1]
+    return np.sqrt(square / np.maximum(samples, 1))
+
+
+def best_refit(
+    accepted: Sequence[ScoredRefit], without: np.ndarray, threshold: float
+) -> tuple[ScoredRefit, tuple[Rival, ...]]:
+    """The refit that is named, and its rivals.
+
+    Held-out runs decide where they can. Among the refits that gain in the same runs and joints as the one with the
+    largest gain, and are not significantly worse, the evidence decides, which penalises needless parameters.
+
+    Args:
+        accepted: refits with a significant gain.
+        without: held-out log densities of the model without them, ``[run, joint]``.
+        threshold: gain in standard errors above which one refit is better than another.
+    """
+    leader = max(accepted, key=lambda refit: refit.effect.gain.mean)
+    similar = [refit for refit in accepted if refit is leader or _similar(leader.density, refit.density, without)]
+    equal = [refit for refit in similar if Gain.of(leader.density, refit.density).z < threshold]
+    best = max(equal, key=lambda refit: refit.effect.log_odds)
+    rivals = [Rival(r.effect.candidate, Gain.of(best.density, r.density)) for r in equal if r is not best]
+    return best, tuple(rival for rival in rivals if rival.finding_gain.z < threshold)
+
+
+def _similar(density: np.ndarray, other: np.ndarray, without: np.ndarray) -> bool:
+    """Whether two models gain in the same joints of the same runs: the correlation of their gains."""
+    first, second = (d.ravel() for d in (density - without, other - without))
+    return float(first @ second) > SIMILAR * float(np.linalg.norm(first) * np.linalg.norm(second))

@@ -1,17 +1,15 @@
-"""Windows reduced to what is judged: the torque and the current that each joint lacks, in pieces of a window, and how
-far the velocity that its servo reports is from the rate of its angle.
+"""Reduction of windows to rows: unmodelled torque, current residual and rate residual of each joint, by piece.
 
-A window's residual in position, velocity and current is a linear image of errors of its initial state and of the torque
-that its joints lack. Solved for the latter, with the former as nuisances with tight priors, what the sensors' noise and
-the mechanics mix becomes rows that are nearly independent. Every column (a number of the base, a candidate) passes
-through the same reduction, batch by batch, and is thrown away behind it.
+The residual of a window in position, velocity and current is a linear function of errors of its initial state and of
+unmodelled torques. It is solved for the torques, with the initial state as nuisance parameters with tight priors, which
+gives nearly independent rows. All columns (baseline parameters and candidates) pass through the same reduction.
 
-On a stand limbs do not couple, so that one simulation carries a local change in one joint of every limb.
+On a stand limbs are not coupled, so one simulation carries a change in one joint of every limb.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -23,95 +21,108 @@ from op3.diagnose.candidates import Candidate
 from op3.diagnose.coordinates import SPREAD_LIMIT, Coordinate, Coordinates
 from op3.diagnose.features import features
 from op3.diagnose.judge import Rows
-from op3.diagnose.judge_settings import FLOORS, PIECES, SETTINGS, Settings
-from op3.diagnose.rates import RATES, filtered, read, rounding
-from op3.diagnose.responses import INITIAL, Reducer, reducer, torque_responses
+from op3.diagnose.judge_settings import FLOORS, MIN_WINDOWS, PIECES, SETTINGS, Settings
+from op3.diagnose.responses import (
+    INITIAL,
+    RATES,
+    Reducer,
+    filter_matrices,
+    rate_variance,
+    reducer,
+    torque_responses,
+    velocity_weights,
+)
 from op3.replay.windows import WindowResiduals
 from op3.servo import RobotModel, parameter
 from op3.servo.conditions import split_name
 
-UNKNOWN = 100.0
-"""Variance of a torque beyond which a window tells nothing of it [units^2]."""
+THINNING = 3
+"""Budget: search and comparisons of starts use one window in so many, at least a third of `MIN_WINDOWS`."""
+
+MAX_VARIANCE = 100.0
+"""Numerical: variance of a torque above which the row is not used [torque units^2]."""
 
 STEP = 0.02
-"""Step of the base's finite differences, as a share of a number's range."""
+"""Numerical: finite-difference step of a coordinate as a share of its range."""
 
-MOVES = 0.05
-"""A joint moves if its speed has this standard deviation [rad/s]."""
+MOVING_SPEED = 0.05
+"""Numerical: a joint moves if the standard deviation of its speed is larger [rad/s]."""
 
 COARSE = 2
-"""How many times longer than usual the steps are of which only differences count: a column. Not of a time, such as a
-delay: where one may stand for another the small difference of their columns is what tells."""
+"""Numerical: factor on the simulation's step where only differences count. Not for times such as delays, whose columns
+differ little from each other."""
 
-FARTHEST = 300.0
-"""Where errors end [sensors' floors]: what has diverged."""
+MAX_ERROR = 300.0
+"""Numerical: clipping range of errors, which a diverged simulation exceeds [sensor floors]."""
 
 CHUNK = 40
-"""Parameter sets simulated at a time: a batch of 72 windows of 20 joints holds 20 MB."""
+"""Budget: parameter sets simulated at a time; a batch of 72 windows of 20 joints holds 20 MB."""
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
-    """The windows around a point of the base, by limb.
+class Linearisation:
+    """The rows of all windows to first order around a point of the baseline.
 
     Attributes:
-        coordinates: the base's numbers.
-        point: where they are.
-        reducers: of every limb.
-        variance: of these torques [units^2], ``[window, joint]``.
-        lacking: what the base leaves, ``[joint, window, row]``.
-        base: by number, ``[joint, window, row]``.
+        coordinates: of the baseline.
+        point: expansion point, ``[coordinate]``.
+        reducers: by limb.
+        variance: of the torques by limb [torque units^2], ``[window, joint]``.
+        residual: rows at the point, measured minus predicted, ``[joint, window, row]``.
+        jacobian: derivatives of the prediction, ``[coordinate, joint, window, row]``.
     """
 
     coordinates: Coordinates
     point: np.ndarray
     reducers: tuple[Reducer, ...]
     variance: tuple[np.ndarray, ...]
-    lacking: np.ndarray
-    base: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
 
 
 class Reduction:
-    """Reduces windows of an engine.
+    """Reduces windows of logs to rows.
 
     Args:
         engine: windows of logs.
         settings: tuned constants.
-        like: windows of the same logs, whose unit and moving joints hold here too.
+        reference: reduction of other windows of the same logs, whose torque unit and moving joints are used.
 
     Attributes:
-        judged: columns of the joints that are judged: all of limbs of which one joint moves.
+        joint_indices: columns of the compared joints: all joints of limbs in which any joint moves.
         moving: whether each of the robot's joints moves.
-        unit: one hundredth of the torque of the busiest joint [N m].
-        loads: torque of the judged joints, root mean square, ``[joint]`` [N m].
+        torque_unit: one hundredth of the torque of the busiest joint [N m].
+        loads: RMS torque of the compared joints, ``[joint]`` [N m].
     """
 
-    def __init__(self, engine: WindowResiduals, settings: Settings = SETTINGS, like: "Reduction | None" = None):
+    def __init__(self, engine: WindowResiduals, settings: Settings = SETTINGS, reference: "Reduction | None" = None):
         self.engine, self.settings = engine, settings
         self.windows, self.ticks, self.count = len(engine.windows), engine.ticks, len(engine.joints)
         motion = engine.motion
-        moving = engine.by_window(motion.velocity).reshape(-1, self.count).std(0) > MOVES
-        self.moving = moving if like is None else like.moving
-        linked = np.abs(motion.dynamics.mass).max(0) > 1e-12
-        limbs, of = sparse.csgraph.connected_components(linked, directed=False)
-        every = [np.flatnonzero(of == limb) for limb in range(limbs)]
-        self.limbs = [limb for limb in every if self.moving[limb].any()]
-        self.judged = np.concatenate([np.zeros(0, int), *self.limbs])
+        moving = engine.by_window(motion.velocity).reshape(-1, self.count).std(0) > MOVING_SPEED
+        self.moving = moving if reference is None else reference.moving
+        coupled = np.abs(motion.dynamics.mass).max(0) > 1e-12
+        count, limb_of = sparse.csgraph.connected_components(coupled, directed=False)
+        all_limbs = [np.flatnonzero(limb_of == limb) for limb in range(count)]
+        self.limbs = [limb for limb in all_limbs if self.moving[limb].any()]
+        self.joint_indices = np.concatenate([np.zeros(0, int), *self.limbs])
         self.limb_of = {int(j): k for k, limb in enumerate(self.limbs) for j in limb}
         self.slot_of = {int(j): i for limb in self.limbs for i, j in enumerate(limb)}
-        needed = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
-        self.unit = 0.01 * float(np.quantile(np.abs(needed), 0.95, axis=0).max()) if like is None else like.unit
-        self.loads = np.sqrt(np.square(needed).mean(0))[self.judged]
+        torque = np.einsum("tij,tj->ti", motion.dynamics.mass, motion.acceleration) + motion.dynamics.bias
+        largest = float(np.quantile(np.abs(torque), 0.95, axis=0).max())
+        self.torque_unit = 0.01 * largest if reference is None else reference.torque_unit
+        self.loads = np.sqrt(np.square(torque).mean(0))[self.joint_indices]
         self.floor = np.where(engine.known, list(FLOORS.values()), np.inf)
-        self._parts = [engine.part(limb) for limb in self.limbs] if len(every) > 1 else [engine]
+        self._limb_engines = [engine.part(limb) for limb in self.limbs] if len(all_limbs) > 1 else [engine]
         of_piece = np.minimum(np.arange(self.ticks + 1) * PIECES // self.ticks, PIECES - 1)
         self._mean = np.stack([(of_piece == p) / (of_piece == p).sum() for p in range(PIECES)])
-        self._read = read(self.ticks).astype(np.float32)
+        self._velocity_weights = velocity_weights(self.ticks).astype(np.float32)
         counts = (PIECES, PIECES, RATES)
         self.kinds = np.array([2 * group + (row > 0) for group, count in enumerate(counts) for row in range(count)])
 
-    def thinned(self, windows: int) -> "Reduction":
-        """Fewer windows of the same logs."""
+    def thinned(self, windows: int | None = None) -> "Reduction":
+        """Fewer windows of the same logs, by default one in `THINNING`."""
+        windows = max(MIN_WINDOWS // THINNING, self.windows // THINNING) if windows is None else windows
         return Reduction(self.engine.thinned(windows), self.settings, self) if windows < self.windows else self
 
     def errors(
@@ -123,135 +134,123 @@ class Reduction:
         limb: int | None = None,
         offsets: Mapping[str, Tensor] = MappingProxyType({}),
     ) -> list[np.ndarray]:
-        """Whitened errors of parameter sets, by limb, or of one of them, ``[set, window, residual]``; channels not
-        measured are zero."""
-        chosen = range(len(self.limbs)) if limb is None else [limb]
-        together = any(not p.per_joint and not effect.edits for effect in model.effects for p in effect.parameters)
+        """Whitened errors (simulated minus measured) by limb, ``[set, window, residual]``; zero where not measured.
 
-        def whitened(engine: WindowResiduals, at: list[int], piece: slice) -> np.ndarray:
-            """By the sensors' floors, of some joints, ``[set, window, tick, joint, channel]``."""
-            given = {n: value[piece, at] if value.shape[1] == self.count else value[piece] for n, value in sets.items()}
-            apart = {name: value[piece, at] for name, value in offsets.items()}
-            error = engine.errors(model, given, piece.stop - piece.start, stretch=stretch, **apart)
-            error /= self.floor[at].astype(np.float32)
-            return np.clip(error, -FARTHEST, FARTHEST, out=error)
+        Args:
+            sets, count: parameter sets by name, ``[set, joint]``, and their number.
+            stretch: factor on the simulation's step.
+            limb: the only limb that is simulated; None: all.
+            offsets: offsets of the initial state, ``[set, joint]``.
+        """
+        limbs = range(len(self.limbs)) if limb is None else [limb]
+        coupled = any(not p.per_joint and not effect.edits for effect in model.effects for p in effect.parameters)
 
-        found = []
+        def whitened(engine: WindowResiduals, joints: list[int], chunk: slice) -> np.ndarray:
+            """Errors of some joints, ``[set, window, tick, joint, channel]``."""
+            per_joint = {name: value.shape[1] == self.count for name, value in sets.items()}
+            values = {name: value[chunk, joints] if per_joint[name] else value[chunk] for name, value in sets.items()}
+            initial = {name: value[chunk, joints] for name, value in offsets.items()}
+            error = engine.errors(model, values, chunk.stop - chunk.start, stretch=stretch, **initial)
+            error /= self.floor[joints].astype(np.float32)
+            return np.clip(error, -MAX_ERROR, MAX_ERROR, out=error)
+
+        chunks = []
         for begin in range(0, count, CHUNK):
-            piece = slice(begin, min(begin + CHUNK, count))
-            if together:  # an effect of the whole robot, such as a supply that sags with all currents
-                whole = whitened(self.engine, list(range(self.count)), piece)
-                found.append([whole[:, :, :, self.limbs[k]] for k in chosen])
+            chunk = slice(begin, min(begin + CHUNK, count))
+            if coupled:  # an effect of the whole robot, such as a supply whose voltage drops with all currents
+                error = whitened(self.engine, list(range(self.count)), chunk)
+                chunks.append([error[:, :, :, self.limbs[k]] for k in limbs])
             else:
-                found.append([whitened(self._parts[k], self.limbs[k].tolist(), piece) for k in chosen])
-        return [np.concatenate(parts).reshape(count, self.windows, -1) for parts in zip(*found, strict=True)]
+                chunks.append([whitened(self._limb_engines[k], self.limbs[k].tolist(), chunk) for k in limbs])
+        return [np.concatenate(errors).reshape(count, self.windows, -1) for errors in zip(*chunks, strict=True)]
 
-    def at(
+    def errors_at(
         self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1, limb: int | None = None
     ) -> list[np.ndarray]:
-        """The same at points ``[point, coordinate]``."""
+        """Whitened errors at points ``[point, coordinate]``, as of `errors`."""
         return self.errors(coordinates.model, coordinates.values(points), len(points), stretch, limb)
 
     def linearise(
         self,
         coordinates: Coordinates,
         point: np.ndarray,
-        reduced: Linear | None = None,
-        moved_as: Linear | None = None,
-    ) -> Linear:
-        """What the base leaves, its numbers' columns, and the reduction, around a point.
-
-        Kept are the reduction of `reduced`, and of `moved_as` the columns of the numbers that both have.
-        """
-        known = {} if moved_as is None else dict(zip(moved_as.coordinates.entries, moved_as.base, strict=True))
+        reducers_of: Linearisation | None = None,
+        jacobian_of: Linearisation | None = None,
+    ) -> Linearisation:
+        """Residual, Jacobian and reduction around a point; the reduction may be reused from another linearisation, and
+        the columns of coordinates in common."""
+        columns = (
+            {} if jacobian_of is None else dict(zip(jacobian_of.coordinates.entries, jacobian_of.jacobian, strict=True))
+        )
         entries = coordinates.entries
-        groups = [group for group in self._together(entries) if entries[group[0]] not in known]
+        groups = [group for group in self._simulation_groups(entries) if entries[group[0]] not in columns]
         span = np.minimum(coordinates.high - coordinates.low, 2 * SPREAD_LIMIT * coordinates.deviation)
         step = np.where(point + 2 * STEP * span > coordinates.high, -STEP, STEP) * span
-        here = self.at(coordinates, point[None])
-        changes = np.zeros((len(groups), len(self.judged), self.windows, len(self.kinds)), np.float32)
-        if reduced is None:
-            reducers, variance = self.reducers(coordinates, point, here)
+        error = self.errors_at(coordinates, point[None])
+        changes = np.zeros((len(groups), len(self.joint_indices), self.windows, len(self.kinds)), np.float32)
+        if reducers_of is None:
+            reducers, variance = self.reducers(coordinates, point, error)
         else:
-            reducers, variance = reduced.reducers, reduced.variance
-        lacking = -self.reduce(reducers, here)[0]
-        times = np.array([_is_time(entries[group[0]].parameter) for group in groups], bool)
-        moving = np.array([np.isin(np.arange(len(point)), group) for group in groups]).reshape(-1, len(point)) * step
-        if times.any():
-            low, high = (
-                np.clip(point + sign * moving[times] / 2, coordinates.low, coordinates.high) for sign in (-1, 1)
-            )
-            went = (high - low).sum(1) / moving[times].sum(1)
-            both = zip(self.at(coordinates, low), self.at(coordinates, high), strict=True)
-            changes[times] = self.reduce(reducers, [b - a for a, b in both]) / went[:, None, None, None]
-        if (~times).any():
-            error = self.at(coordinates, np.concatenate([point[None], point + moving[~times]]), COARSE)
-            changes[~times] = self.reduce(reducers, [one[1:] - one[:1] for one in error])
-        base = np.zeros((len(point), *lacking.shape), np.float32)
+            reducers, variance = reducers_of.reducers, reducers_of.variance
+        residual = -self.reduce(reducers, error)[0]
+        is_time = np.array([_is_time(entries[group[0]].parameter) for group in groups], bool)
+        steps = np.array([np.isin(np.arange(len(point)), group) for group in groups]).reshape(-1, len(point)) * step
+        if is_time.any():  # central differences
+            half = steps[is_time] / 2
+            low, high = (np.clip(p, coordinates.low, coordinates.high) for p in (point - half, point + half))
+            share = (high - low).sum(1) / steps[is_time].sum(1)
+            pairs = zip(self.errors_at(coordinates, low), self.errors_at(coordinates, high), strict=True)
+            changes[is_time] = self.reduce(reducers, [b - a for a, b in pairs]) / share[:, None, None, None]
+        if (~is_time).any():
+            errors = self.errors_at(coordinates, np.concatenate([point[None], point + steps[~is_time]]), COARSE)
+            changes[~is_time] = self.reduce(reducers, [e[1:] - e[:1] for e in errors])
+        jacobian = np.zeros((len(point), *residual.shape), np.float32)
         for i, entry in enumerate(entries):
-            base[i] = known.get(entry, 0.0)
-        for number, group in enumerate(groups):
+            jacobian[i] = columns.get(entry, 0.0)
+        for change, group in zip(changes, groups, strict=True):
             for i in group:
-                base[i] = changes[number] / step[i]
-                base[i][~self._felt(entries[i].joints)] = 0.0
-        return Linear(coordinates, point, reducers, variance, lacking, base)
+                jacobian[i] = change / step[i]
+                jacobian[i][~self._same_limb(entries[i].joints)] = 0.0
+        return Linearisation(coordinates, point, reducers, variance, residual, jacobian)
 
     def reducers(
-        self, coordinates: Coordinates, point: np.ndarray, here: Sequence[np.ndarray] | None = None
+        self, coordinates: Coordinates, point: np.ndarray, error: Sequence[np.ndarray] | None = None
     ) -> tuple[tuple[Reducer, ...], tuple[np.ndarray, ...]]:
-        """What makes rows of residuals around a point, and the variance of their torques, by limb.
-
-        Args:
-            here: whitened errors at the point, where they are known.
-        """
-        here = self.at(coordinates, point[None]) if here is None else here
-        filters = self._filters(coordinates, point)
-        nuisances = self._nuisances(coordinates, point, [one[0] for one in here], filters)
-        both = zip(self.limbs, nuisances, strict=True)
-        made = [reducer(n, filters[limb], self.engine.period) for limb, n in both]
-        return tuple(m[0] for m in made), tuple(m[1] for m in made)
-
-    def of_model(self, model: RobotModel) -> list[np.ndarray]:
-        """Whitened errors of a model as it is, by limb ``[1, window, residual]``."""
-        errors = self.errors(model, {}, 1)
-        self.forget()
-        return errors
+        """The reduction around a point and the variance of its torques ``[window, joint]``, by limb; from the whitened
+        errors at the point, if already computed."""
+        error = self.errors_at(coordinates, point[None]) if error is None else error
+        parameters = coordinates.model.tensors(self.engine.joints) | coordinates.values(point[None])
+        filters = filter_matrices(parameters, self.count, self.ticks, self.engine.period)
+        nuisances = self._nuisances(coordinates, point, [e[0] for e in error], filters)
+        pairs = zip(self.limbs, nuisances, strict=True)
+        results = [reducer(nuisance, filters[limb], self.engine.period) for limb, nuisance in pairs]
+        return tuple(result[0] for result in results), tuple(result[1] for result in results)
 
     def forget(self) -> None:
-        """Drop what is kept of a model for further simulations."""
-        for part in (self.engine, *self._parts):
-            part.forget()
+        """Free the compiled simulations of the models."""
+        for engine in (self.engine, *self._limb_engines):
+            engine.forget()
 
-    def _felt(self, joints: tuple[int, ...] | None) -> np.ndarray:
-        """Which judged joints feel a change in some: those of their limbs, ``[joint]``."""
+    def _same_limb(self, joints: tuple[int, ...] | None) -> np.ndarray:
+        """Which compared joints are in the limb of any of some joints, ``[joint]``."""
         if joints is None:
-            return np.ones(len(self.judged), bool)
+            return np.ones(len(self.joint_indices), bool)
         limbs = {self.limb_of.get(j) for j in joints}
-        return np.array([self.limb_of[int(j)] in limbs for j in self.judged])
+        return np.array([self.limb_of[int(j)] in limbs for j in self.joint_indices])
 
-    def _together(self, entries: Sequence[Coordinate]) -> list[list[int]]:
-        """Numbers that one simulation moves at once: those of the same slot of every limb."""
-        local: dict[tuple, list[int]] = {}
+    def _simulation_groups(self, entries: Sequence[Coordinate]) -> list[list[int]]:
+        """Coordinates that share one simulation: the same parameter in the same slot of every limb."""
+        groups: dict[tuple, list[int]] = {}
         for i, entry in enumerate(entries):
-            alone = entry.joints is not None and len(entry.joints) == 1
-            if alone and entry.joints[0] not in self.limb_of:  # type: ignore[index]
+            single = entry.joints is not None and len(entry.joints) == 1
+            if single and entry.joints[0] not in self.limb_of:  # type: ignore[index]
                 continue
-            key = (entry.parameter, entry.kind, self.slot_of[entry.joints[0]]) if alone else (i,)  # type: ignore[index]
-            local.setdefault(key, []).append(i)
-        return list(local.values())
-
-    def _filters(self, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
-        """What every servo's filter makes of velocities, ``[joint, tick, tick]``."""
-        known = coordinates.model.tensors(self.engine.joints) | coordinates.values(point[None])
-        lags, shapes = (
-            np.broadcast_to(known[name][0].numpy() if name in known else 0.0, self.count).tolist()
-            for name in ("velocity_time_constant", "velocity_filter_shape")
-        )
-        once = cache(lambda lag, shape: filtered(lag, shape, self.ticks, self.engine.period))
-        return np.stack([once(lag, shape) for lag, shape in zip(lags, shapes, strict=True)])
+            key = (entry.parameter, entry.kind, self.slot_of[entry.joints[0]]) if single else (i,)  # type: ignore[index]
+            groups.setdefault(key, []).append(i)
+        return list(groups.values())
 
     def _nuisances(
-        self, coordinates: Coordinates, point: np.ndarray, left: list[np.ndarray], filters: np.ndarray
+        self, coordinates: Coordinates, point: np.ndarray, residual: list[np.ndarray], filters: np.ndarray
     ) -> list[np.ndarray]:
         """Responses to initial states and to unit torques of pieces, by limb ``[window, residual, nuisance]``."""
         size = max(map(len, self.limbs))
@@ -264,126 +263,132 @@ class Reduction:
         values = coordinates.values(np.repeat(point[None], count, 0))
         offsets = {"position_offset": position, "velocity_offset": velocity}
         error = self.errors(coordinates.model, values, count, COARSE, offsets=offsets)
-        known = coordinates.model.tensors(self.engine.joints) | values
-        armature = known["armature"][0].numpy() if "armature" in known else np.zeros(1)
-        armature, loop = np.broadcast_to(armature, self.count), "current_pd" not in coordinates.model.effect_names
+        tensors = coordinates.model.tensors(self.engine.joints) | values
+        armature = tensors["armature"][0].numpy() if "armature" in tensors else 0.0
+        armature = np.broadcast_to(armature, self.count)
+        internal_loop = "current_pd" not in coordinates.model.effect_names
         result = []
         for k, limb in enumerate(self.limbs):
             n = len(limb)
             change = error[k][1:] - error[k][:1]
             initial = np.concatenate([change[:n], change[size : size + n]])
-            own = filters[limb]
-            torque = torque_responses(self.engine, limb, armature, loop, initial, left[k], own, self.unit, self.floor)
+            of_limb = limb, armature, internal_loop, initial, residual[k], filters[limb]
+            torque = torque_responses(self.engine, *of_limb, self.torque_unit, self.floor)
             result.append(np.moveaxis(np.concatenate([initial, torque]), 0, -1))
         return result
 
     def reduce(self, reducers: Sequence[Reducer], errors: Sequence[np.ndarray]) -> np.ndarray:
         """Whitened errors by limb as rows, ``[set, joint, window, row]``: torques, currents, rates, means first."""
-        parts = []
-        for one, error, limb in zip(reducers, errors, self.limbs, strict=True):
+        results = []
+        for weights, error, limb in zip(reducers, errors, self.limbs, strict=True):
             sets, n = len(error), len(limb)
-            torque = np.moveaxis(np.matmul(one.torque, np.moveaxis(error, 0, -1)), -1, 0)
+            torque = np.moveaxis(np.matmul(weights.torque, np.moveaxis(error, 0, -1)), -1, 0)
             torque = torque.reshape(sets, self.windows, n, PIECES)
             position, velocity, current = np.moveaxis(error.reshape(sets, self.windows, self.ticks + 1, n, 3), -1, 0)
             current = np.einsum("pt,swtj->swjp", self._mean, current)
-            rate = np.einsum("pt,swtj->swjp", self._read, velocity)
-            rate -= np.einsum("jpt,swtj->swjp", one.moved, position, optimize=True)
-            rate[(np.abs(position) >= FARTHEST).any(2)] = 0.0  # who is that far off tells no rate
+            rate = np.einsum("pt,swtj->swjp", self._velocity_weights, velocity)
+            rate -= np.einsum("jpt,swtj->swjp", weights.rate, position, optimize=True)
+            rate[(np.abs(position) >= MAX_ERROR).any(2)] = 0.0  # diverged
             rows = [kind @ linalg.helmert(kind.shape[-1], full=True).T for kind in (torque, current, rate)]
             rows = np.concatenate(rows, -1)
-            parts.append(np.moveaxis(rows, 2, 1))
-        return np.concatenate(parts, 1).astype(np.float32)
+            results.append(np.moveaxis(rows, 2, 1))
+        return np.concatenate(results, 1).astype(np.float32)
 
-    def columns(self, linear: Linear, found: Sequence[Candidate], progress=None) -> np.ndarray:
-        """What the secant of each candidate in one joint, or in all, does, ``[candidate, joint, window, row]``."""
-        result = np.zeros((len(found), *linear.lacking.shape), np.float32)
+    def columns(
+        self, linear: Linearisation, candidates: Sequence[Candidate], progress: Callable[[float], None] | None = None
+    ) -> np.ndarray:
+        """Changes of the rows by the secant of each elementary candidate, ``[candidate, joint, window, row]``."""
+        result = np.zeros((len(candidates), *linear.residual.shape), np.float32)
         base = linear.coordinates.values(linear.point[None])
         models: dict[int, dict[tuple, list[int]]] = {}
-        for i, one in enumerate(found):
-            slot = self.slot_of[one.joints[0]] if one.joints else None
-            models.setdefault(id(one.model), {}).setdefault((one.shape, slot), []).append(i)
+        for i, candidate in enumerate(candidates):
+            slot = self.slot_of[candidate.joints[0]] if candidate.joints else None
+            models.setdefault(id(candidate.model), {}).setdefault((candidate.variant, slot), []).append(i)
         done = 0
         for groups in models.values():
             for begin in range(0, len(groups), CHUNK - 1):
-                members = list(groups.values())[begin : begin + CHUNK - 1]
-                self._simulate(linear, found, members, base, result)
-                done += len(members)
+                chunk = list(groups.values())[begin : begin + CHUNK - 1]
+                self._simulate(linear, candidates, chunk, base, result)
+                done += len(chunk)
                 if progress is not None:
                     progress(done / sum(map(len, models.values())))
             self.forget()
         return result
 
     def _simulate(
-        self, linear: Linear, found: Sequence[Candidate], members: list[list[int]], base, result: np.ndarray
+        self, linear: Linearisation, candidates: Sequence[Candidate], groups: list[list[int]], base, result: np.ndarray
     ) -> None:
-        """Columns of candidates of one model, those of a group in one simulation."""
-        model = found[members[0][0]].model
-        start = model.tensors(self.engine.joints) | base
-        known = model.parameters()
-        start = {
-            name: value.expand(1, self.count).clone() if known[name.split("@")[0]].per_joint else value
-            for name, value in start.items()
-        }
+        """Columns of candidates of one model, those of a group from one simulation."""
+        model = candidates[groups[0][0]].model
+        parameters, start = model.parameters(), model.tensors(self.engine.joints) | base
+        shared = {name for name in start if not parameters[name.split("@")[0]].per_joint}
+        start = {n: value if n in shared else value.expand(1, self.count).clone() for n, value in start.items()}
         sets = [start]
-        for group in members:
-            moved = start
+        for group in groups:
+            values = start
             for i in group:
-                moved = found[i].moved(moved)
-            sets.append(moved)
-        values = {name: torch.cat([one[name] for one in sets]) for name in sets[0]}
-        times = any(_is_time(name) for group in members for name in found[group[0]].secant)
-        error = self.errors(model, values, len(sets), 1 if times else COARSE)
-        changes = self.reduce(linear.reducers, [one[1:] - one[:1] for one in error])
-        for number, group in enumerate(members):
+                values = candidates[i].applied(values)
+            sets.append(values)
+        stacked = {name: torch.cat([values[name] for values in sets]) for name in sets[0]}
+        is_time = any(_is_time(name) for group in groups for name in candidates[group[0]].secant)
+        error = self.errors(model, stacked, len(sets), 1 if is_time else COARSE)
+        changes = self.reduce(linear.reducers, [e[1:] - e[:1] for e in error])
+        for change, group in zip(changes, groups, strict=True):
             for i in group:
-                result[i] = changes[number]
-                result[i][~self._felt(found[i].joints)] = 0.0
+                result[i] = change
+                result[i][~self._same_limb(candidates[i].joints)] = 0.0
 
-    def rows(self, linear: Linear, columns: Sequence[np.ndarray], like: Rows | None = None) -> Rows:
-        """Everything the judge needs, of the base and columns ``[joint, window, row]`` of candidates in one joint or in
-        all; variances are kept of those that it is to be `like`, so that evidences compare."""
+    def rows(self, linear: Linearisation, columns: Sequence[np.ndarray] = (), reference: Rows | None = None) -> Rows:
+        """Rows of the linear model.
+
+        Args:
+            linear: the linearised baseline.
+            columns: of elementary candidates, ``[joint, window, row]``.
+            reference: rows whose variances are used, so that evidences are comparable.
+        """
         torque, current, rate = (self.kinds // 2 == group for group in range(3))
-        spread = np.concatenate([one.T for one in linear.variance])  # [joint, window]
-        known = (spread < UNKNOWN) & self.moving[self.judged][:, None]
-        variance = np.where(known, spread, np.inf)[..., None] + np.zeros(len(self.kinds))
-        variance[..., torque] += self._on_edge(linear)[..., None]
-        recorded = (self.moving & self.engine.known[:, 2])[self.judged]
+        torque_variance = np.concatenate([v.T for v in linear.variance])  # [joint, window]
+        valid = (torque_variance < MAX_VARIANCE) & self.moving[self.joint_indices][:, None]
+        variance = np.where(valid, torque_variance, np.inf)[..., None] + np.zeros(len(self.kinds))
+        variance[..., torque] += self._edge_variance(linear)[..., None]
+        recorded = (self.moving & self.engine.known[:, 2])[self.joint_indices]
         variance[..., current] = np.where(recorded, PIECES / self.ticks, np.inf)[:, None, None]
-        both = (self.moving & self.engine.known[:, :2].all(1))[self.judged]
-        rounded = np.array([rounding(self._read, moved) for one in linear.reducers for moved in one.moved])
-        variance[..., rate] = np.where(both[:, None], rounded, np.inf)[:, None]
-        variance = variance if like is None else like.variance
-        kept, values = [], []
-        for j in range(len(self.judged)):
-            mine = np.stack([*linear.base[:, j], *(column[j] for column in columns)])
-            kept.append(np.flatnonzero(np.abs(mine).max((1, 2)) > 0))
-            values.append(self.tamed(mine[kept[-1]]))
-        measured = np.where(np.isfinite(variance), linear.lacking, 0.0)
-        names = tuple(self.engine.joints[j] for j in self.judged)
-        return Rows(names, self.kinds, measured, variance, self.features, tuple(kept), tuple(values))
+        recorded = (self.moving & self.engine.known[:, :2].all(1))[self.joint_indices]
+        floors = np.array([rate_variance(self._velocity_weights, r) for limb in linear.reducers for r in limb.rate])
+        variance[..., rate] = np.where(recorded[:, None], floors, np.inf)[:, None]
+        variance = variance if reference is None else reference.variance
+        coefficients, design = [], []
+        for j in range(len(self.joint_indices)):
+            of_joint = np.stack([*linear.jacobian[:, j], *(column[j] for column in columns)])
+            coefficients.append(np.flatnonzero(np.abs(of_joint).max((1, 2)) > 0))
+            design.append(self.clipped(of_joint[coefficients[-1]]))
+        residual = np.where(np.isfinite(variance), linear.residual, 0.0)
+        names = tuple(self.engine.joints[j] for j in self.joint_indices)
+        return Rows(names, self.kinds, residual, variance, self.features, tuple(coefficients), tuple(design))
 
-    def tamed(self, columns: np.ndarray) -> np.ndarray:
-        """A joint's columns ``[column, window, row]`` without what is wild of windows on the edge of sticking."""
+    def clipped(self, columns: np.ndarray) -> np.ndarray:
+        """A joint's columns ``[column, window, row]``, the outliers of windows on the edge of sticking clipped."""
         result = columns.copy()
         for group in range(3):
-            kinds = self.kinds // 2 == group
-            usual = np.quantile(np.abs(columns[..., kinds]), 0.97, axis=(1, 2), keepdims=True)
-            result[..., kinds] = np.clip(columns[..., kinds], -8 * usual - 0.5, 8 * usual + 0.5)
+            rows = self.kinds // 2 == group
+            usual = np.quantile(np.abs(columns[..., rows]), 0.97, axis=(1, 2), keepdims=True)
+            result[..., rows] = np.clip(columns[..., rows], -8 * usual - 0.5, 8 * usual + 0.5)
         return result
 
-    def _on_edge(self, linear: Linear) -> np.ndarray:
-        """Variance of windows on the edge of sticking, which little moves far, ``[joint, window]``."""
+    def _edge_variance(self, linear: Linearisation) -> np.ndarray:
+        """Extra variance of windows in which a joint is about to stick: small changes of shared parameters change them
+        much, ``[joint, window]``."""
         s, extra = self.settings, 0.0
-        for entry, value, column in zip(linear.coordinates.entries, linear.point, linear.base, strict=True):
-            if entry.joints is None and entry.kind == "value" and entry.low >= 0:  # a share of an angle says nothing
-                moved = np.square(s.edge_share * value * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
-                extra = extra + np.maximum(moved - np.quantile(moved, 0.75, axis=1, keepdims=True), 0.0)
-        return s.edge**2 * np.minimum(extra, 0.9 * UNKNOWN)
+        for entry, value, column in zip(linear.coordinates.entries, linear.point, linear.jacobian, strict=True):
+            if entry.joints is None and entry.kind == "value" and entry.low >= 0:  # relative changes
+                change = np.square(s.edge_share * value * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
+                extra = extra + np.maximum(change - np.quantile(change, 0.75, axis=1, keepdims=True), 0.0)
+        return s.edge**2 * np.minimum(extra, 0.9 * MAX_VARIANCE)
 
     @cached_property
     def features(self) -> np.ndarray:
-        """Of what joints do and nobody explains, ``[joint, window, row, feature]``."""
-        return features(self.engine, self.judged, self.unit, self.settings)
+        """Features of the unmodelled torque, ``[joint, window, row, feature]``."""
+        return features(self.engine, self.joint_indices, self.torque_unit, self.settings)
 
 
 def _is_time(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""What an effect does: how much torque it makes, and whether that matters beside a joint's load and the sensors."""
+"""Relevance of an effect: its torque beside a joint's load, and its change of readings beside their noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,21 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from op3.diagnose.base import Baseline
+from op3.diagnose.coordinates import Coordinate
 from op3.diagnose.judge import Rows
-from op3.diagnose.judge_settings import PIECES, Settings
+from op3.diagnose.judge_settings import PIECES
 from op3.diagnose.reduction import Reduction
-from op3.servo import parameter
+from op3.diagnose.starts import GEAR
+from op3.servo import Effect, parameter
 
 
 @dataclass(frozen=True)
 class Relevance:
-    """What one effect does, in the joints in which it does most.
+    """Influence of one effect in the joints in which it is largest.
 
     Attributes:
-        torque: it makes, root mean square over windows, by joint [N m].
-        load: largest share of a joint's torque that this is.
-        floor: largest ratio of what it does to a reading (of torque, current or rate) to that reading's noise.
-        matters: whether both are enough, and more than the form of a related effect may be off by.
+        torque: RMS torque over windows, by joint [N m].
+        load: largest ratio of this torque to a joint's RMS torque.
+        floor: largest ratio of its change of a window's torque, current or rate to the noise of that reading.
+        matters: whether both are large enough, and the torque is larger than the error of a related effect's law.
     """
 
     torque: Mapping[str, float]
@@ -29,38 +31,55 @@ class Relevance:
     matters: bool
 
 
-def relevance(
-    reduction: Reduction, base: Baseline, size: int, rows: Rows, settings: Settings, relatives: Sequence[int] = ()
-) -> Relevance:
-    """What an effect in a fitted base does.
+def relevance(reduction: Reduction, base: Baseline, index: int, rows: Rows, relatives: Sequence[int] = ()) -> Relevance:
+    """Relevance of one effect of a fitted model.
 
     Args:
-        size: number of its coordinate, whose column says what a unit of it does.
-        rows: around the base, whose variance is that of the sensors and of the edge of sticking.
-        relatives: numbers of the coordinates of effects in the base that it may look like. No law is quite the
-            robot's, and what does less than these may be off by only repairs their form.
+        reduction: windows of the fitted runs.
+        base: the fitted model.
+        index: of the coordinate that is the effect's size.
+        rows: around the model, whose variance is that of the sensors and of windows on the edge of sticking.
+        relatives: indices of the coordinates of related effects. No law is exact, so an effect smaller than the error
+            of their laws only corrects their form.
     """
+    s = reduction.settings
 
-    def torques(number: int) -> tuple[np.ndarray, np.ndarray]:
-        """What an effect does, ``[joint, window, row]``, and its torque ``[joint]`` [N m]."""
+    def change(number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Change of the rows by an effect, ``[joint, window, row]``, and its RMS torque ``[joint]`` [N m]."""
         entry = base.coordinates.entries[number]
         neutral = parameter(entry.parameter).neutral or 0.0 if entry.kind == "value" else 0.0
-        does = base.linear.base[number].astype(np.float64) * (base.point[number] - neutral)
-        square = np.square(does[..., reduction.kinds == 0]).mean((1, 2))
-        return does, np.sqrt(square / PIECES) * reduction.unit
+        rows_change = base.linear.jacobian[number].astype(np.float64) * (base.point[number] - neutral)
+        square = np.square(rows_change[..., reduction.kinds == 0]).mean((1, 2))
+        return rows_change, np.sqrt(square / PIECES) * reduction.torque_unit
 
-    made, torque = torques(size)
+    rows_change, torque = change(index)
     floors = []
-    for kind in (0, 2, 4):  # means of a window: of torque, current, rate
-        mine = reduction.kinds == kind
-        both = [(did[..., mine], known[..., mine]) for did, known in zip(made, rows.variance, strict=True)]
-        read = [(did[seen], known[seen]) for did, known in both if (seen := np.isfinite(known)).any()]
-        ratios = [np.sqrt(np.square(did).mean() / np.median(known)) for did, known in read]
+    for kind in (0, 2, 4):  # window means of torque, current and rate
+        pairs = [
+            (c[..., reduction.kinds == kind], v[..., reduction.kinds == kind])
+            for c, v in zip(rows_change, rows.variance, strict=True)
+        ]
+        ratios = [
+            np.sqrt(np.square(c[valid]).mean() / np.median(v[valid]))
+            for c, v in pairs
+            if (valid := np.isfinite(v)).any()
+        ]
         floors.append(float(max(ratios, default=0.0)))
-    repaired = settings.form * np.max([torques(number)[1] for number in relatives], axis=0, initial=0.0)
-    load = float((torque / np.maximum(reduction.loads, reduction.unit)).max())
+    law_error = s.form_error * np.max([change(number)[1] for number in relatives], axis=0, initial=0.0)
+    load = float((torque / np.maximum(reduction.loads, reduction.torque_unit)).max())
     names = reduction.engine.joints
-    felt = {names[reduction.judged[k]]: float(torque[k]) for k in np.flatnonzero(torque > 0.1 * torque.max())}
-    new = not relatives or bool((torque > repaired).any())
-    mechanical = load >= settings.least_load and floors[0] >= settings.least_floor
-    return Relevance(felt, load, max(floors), new and (mechanical or max(floors[1:]) >= settings.least_floor))
+    largest = np.flatnonzero(torque > 0.1 * torque.max())
+    by_joint = {names[reduction.joint_indices[k]]: float(torque[k]) for k in largest}
+    distinct = not relatives or bool((torque > law_error).any())
+    mechanical = load >= s.min_load and floors[0] >= s.min_floor
+    return Relevance(by_joint, load, max(floors), distinct and (mechanical or max(floors[1:]) >= s.min_floor))
+
+
+def gear_coordinates(effect: type[Effect], base: Baseline) -> list[Coordinate]:
+    """The baseline's shared coordinates of the gear's losses, if an effect is another law of the gear."""
+    if effect.stage not in GEAR:
+        return []
+    laws = [law for law in base.coordinates.model.effects if law.stage in GEAR and effect.related({law.name})]
+    names = {p.name for law in laws for p in law.parameters if p.neutral is not None}
+    shared = [entry for entry in base.coordinates.entries if entry.joints is None and entry.kind == "value"]
+    return [entry for entry in shared if entry.parameter in names]

@@ -1,96 +1,113 @@
-"""What makes rows of residuals: how a window answers to errors of its start and to torques, and the inverse."""
+"""The linear map from a window's residuals to its rows: unmodelled torques, and residuals of the reported velocity.
 
+The response of a window to errors of its initial state and to torques is inverted for the torques, with the former as
+nuisance parameters. The reported velocity is compared with the rate of the measured angle after the servo's own
+filter, so that the difference does not depend on the mechanics.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from itertools import pairwise
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
+from torch import Tensor
 
 from op3.diagnose.judge_settings import FLOORS, PIECES
-from op3.diagnose.rates import moved
 from op3.replay.windows import WindowResiduals
+from op3.servo.effects import VelocityFilter
 
 INITIAL = (0.0015, 0.06)
-"""Standard deviations of a window's initial angle [rad] and velocity [rad/s]: what smoothing leaves."""
+"""Standard deviations of a window's initial angle [rad] and velocity [rad/s]: errors of the smoothed measurement.
+Numerical, from the encoder's floor."""
 
 WIDE_TORQUE = 15.0
-"""Prior standard deviation of a piece's torque [units]; sets what a joint at rest tells, and little else."""
+"""Numerical: prior standard deviation of the torque of a piece [torque units]; it matters only for joints at rest."""
+
+RATES = PIECES - 1
+"""Numerical: pieces whose rates are compared. The first depends on what the filter read before the window."""
 
 
 class Reducer(NamedTuple):
-    """What makes rows of a limb's residuals.
+    """The map from the residuals of a limb to its rows.
 
     Attributes:
-        torque: residual to torque, ``[window, torque, residual]``.
-        moved: weights of positions for their rate as a servo's filter tells it, ``[joint, piece, tick]``.
+        torque: weights of the residuals, ``[window, torque, residual]``.
+        rate: weights of positions for their filtered rate, ``[joint, piece, tick]``.
     """
 
     torque: np.ndarray
-    moved: np.ndarray
+    rate: np.ndarray
 
 
 def reducer(nuisances: np.ndarray, filters: np.ndarray, period: float) -> tuple[Reducer, np.ndarray]:
-    """What makes rows of a limb's residuals, and the variance of their torques, ``[window, joint]``.
+    """The map from the residuals of a limb to its rows, and the variance of its torques, ``[window, joint]``.
 
     Args:
         nuisances: responses to initial states and to torques, ``[window, residual, nuisance]``.
-        filters: of the servos' velocities, ``[joint, tick, tick]``.
-        period: of a tick [s].
+        filters: matrices of the servos' velocity filters, ``[joint, tick, tick]``.
+        period: length of a tick [s].
     """
     windows, n = len(nuisances), len(filters)
     prior = np.ones(nuisances.shape[2])
     prior[2 * n :] = WIDE_TORQUE**2
-    inner = np.einsum("wra,wrb->wab", nuisances, nuisances, optimize=True).astype(np.float64)
-    covariance = np.linalg.inv(inner + np.diag(1 / prior))
+    gram = np.einsum("wra,wrb->wab", nuisances, nuisances, optimize=True).astype(np.float64)
+    covariance = np.linalg.inv(gram + np.diag(1 / prior))
     gain = np.einsum("wab,wrb->war", covariance[:, 2 * n :], nuisances, optimize=True).astype(np.float32)
-    spread = np.diagonal(covariance, axis1=1, axis2=2)[:, 2 * n :].reshape(windows, n, PIECES).mean(2)
-    return Reducer(gain, np.stack([moved(matrix, period) for matrix in filters]).astype(np.float32)), spread
+    variance = np.diagonal(covariance, axis1=1, axis2=2)[:, 2 * n :].reshape(windows, n, PIECES).mean(2)
+    rate = np.stack([filtered_rate_weights(matrix, period) for matrix in filters]).astype(np.float32)
+    return Reducer(gain, rate), variance
 
 
 def torque_responses(
     engine: WindowResiduals,
     limb: np.ndarray,
     armature: np.ndarray,
-    loop: bool,
+    internal_loop: bool,
     initial: np.ndarray,
-    left: np.ndarray,
+    residual: np.ndarray,
     filters: np.ndarray,
-    unit: float,
+    torque_unit: float,
     floor: np.ndarray,
 ) -> np.ndarray:
-    """What a unit of torque in one joint and piece would do, ``[nuisance, window, residual]``.
+    """Whitened response to a unit of torque in one joint and piece, ``[nuisance, window, residual]``.
 
-    A joint answers where it moves, measured or simulated, and its servo's own loop pulls it back as it does after an
-    error of the initial angle.
+    A joint responds in ticks in which it moves, measured or simulated. A servo with an internal position loop pulls it
+    back as after an error of the initial angle.
 
     Args:
         engine: windows of logs.
         limb: columns of its joints.
         armature: of all joints [kg m^2], ``[joint]``.
-        loop: whether servos close the position loop themselves.
-        initial: responses to initial states, whitened, ``[nuisance, window, residual]``.
-        left: what the base leaves, whitened, ``[window, residual]``.
-        filters: of the servos' velocities, ``[joint, tick, tick]``.
-        unit: of torque [N m].
+        internal_loop: whether servos close the position loop themselves.
+        initial: whitened responses to initial states, ``[nuisance, window, residual]``.
+        residual: whitened residual of the baseline, ``[window, residual]``.
+        filters: matrices of the servos' velocity filters, ``[joint, tick, tick]``.
+        torque_unit: [N m].
         floor: of all sensors, ``[joint, channel]``.
     """
-    windows, n, ticks = len(left), len(limb), filters.shape[1] - 1
+    windows, n, ticks = len(residual), len(limb), filters.shape[1] - 1
     shape = (windows, ticks + 1, n, 3)
     mass = engine.by_window(engine.motion.dynamics.mass, end=True)[:, :, limb][:, :, :, limb] + np.diag(armature[limb])
     mobility = np.linalg.inv(mass)
-    measured = engine.by_window(engine.motion.velocity, end=True)[:, :, limb]
-    moves, read = np.abs(measured) > 0.02, engine.known[limb, 1]
-    moves |= read & (np.abs(measured + left.reshape(shape)[..., 1] * np.where(read, floor[limb, 1], 0.0)) > 0.04)
+    velocity = engine.by_window(engine.motion.velocity, end=True)[:, :, limb]
+    moving, recorded = np.abs(velocity) > 0.02, engine.known[limb, 1]
+    simulated = velocity + residual.reshape(shape)[..., 1] * np.where(recorded, floor[limb, 1], 0.0)
+    moving |= recorded & (np.abs(simulated) > 0.04)
     stiffness = np.zeros((*mass.shape[:2], n))
-    if loop:  # else commands are those of the log, and nothing pulls back
-        stiffness = _stiffness(engine, limb, initial[:n].reshape(n, *shape), mass)
+    if internal_loop:  # otherwise the commands are those of the log, without feedback
+        stiffness = _loop_stiffness(engine, limb, initial[:n].reshape(n, *shape), mass)
     piece = np.arange(ticks) * PIECES // ticks
     response = np.zeros((n, PIECES, *shape), np.float32)
     for j in range(n):
         for p in range(PIECES):
             q, v = np.zeros((windows, n)), np.zeros((windows, n))
             for t in range(ticks):
-                pull = (unit if piece[t] == p else 0.0) * mobility[:, t, :, j]
-                pull = pull - np.einsum("wij,wj->wi", mobility[:, t], stiffness[:, t] * q)
-                v = (v + engine.period * pull) * moves[:, t]
+                acceleration = (torque_unit if piece[t] == p else 0.0) * mobility[:, t, :, j]
+                acceleration = acceleration - np.einsum("wij,wj->wi", mobility[:, t], stiffness[:, t] * q)
+                v = (v + engine.period * acceleration) * moving[:, t]
                 q = q + engine.period * v
                 response[j, p, :, t + 1, :, 0], response[j, p, :, t + 1, :, 1] = q, v
     response[..., 1] = np.einsum("jst,apwtj->apwsj", filters, response[..., 1], optimize=True)
@@ -98,14 +115,82 @@ def torque_responses(
     return response.reshape(n * PIECES, windows, -1)
 
 
-def _stiffness(engine: WindowResiduals, limb: np.ndarray, initial: np.ndarray, mass: np.ndarray) -> np.ndarray:
-    """Stiffness of servos that close the position loop themselves [N m/rad], ``[window, tick, joint]``.
+def _loop_stiffness(engine: WindowResiduals, limb: np.ndarray, initial: np.ndarray, mass: np.ndarray) -> np.ndarray:
+    """Stiffness of the servos' internal position loops [N m/rad], ``[window, tick, joint]``.
 
-    From how far an error of the initial angle has come back after two ticks: ``q(t) = q0 (1 - K t^2 / 2 J)``.
+    From the decay of an error of the initial angle over two ticks, ``q(t) = q0 (1 - K t^2 / 2 J)``.
     """
     time, result = 2 * engine.period, np.zeros((*mass.shape[:2], len(initial)))
     enabled = engine.motion.inputs.get("torque_enable")
-    for j, one in enumerate(initial):
-        kept = np.median(one[:, 2, j, 0]) * FLOORS["joint", "position"] / INITIAL[0]
-        result[..., j] = max(0.0, 2 * (1 - kept) / time**2) * float(np.median(mass[:, 0, j, j]))
+    for j, response in enumerate(initial):
+        remaining = np.median(response[:, 2, j, 0]) * FLOORS["joint", "position"] / INITIAL[0]
+        result[..., j] = max(0.0, 2 * (1 - remaining) / time**2) * float(np.median(mass[:, 0, j, j]))
     return result if enabled is None else result * engine.by_window(enabled, end=True)[..., limb]
+
+
+def filter_matrix(lag: float, shape: float, ticks: int, period: float) -> np.ndarray:
+    """The servo's velocity filter as a matrix, for velocities that are linear between ticks, ``[tick, tick]``.
+
+    Args:
+        lag: `velocity_time_constant` [s].
+        shape: `velocity_filter_shape`.
+        ticks: length of a window.
+        period: length of a tick [s]; one step of this length is exact.
+    """
+    velocities, zero = np.eye(ticks + 1), np.zeros(ticks + 1)
+    p = SimpleNamespace(velocity_time_constant=lag, velocity_filter_shape=shape, timestep=period)
+    VelocityFilter.prepare(p)
+    s = SimpleNamespace(measured_velocity=zero)
+    VelocityFilter.reset(s, p)
+    s.velocity_filter_velocity = velocities[0]
+    filtered = [zero]
+    for s.measured_velocity in velocities[1:]:
+        VelocityFilter.sense(s, p)
+        VelocityFilter.finish(s, p)
+        filtered.append(s.measured_velocity)
+    return np.stack(filtered)
+
+
+def filter_matrices(parameters: Mapping[str, Tensor], joints: int, ticks: int, period: float) -> np.ndarray:
+    """Matrices of the velocity filters of several servos, ``[joint, tick, tick]``, as of `filter_matrix`."""
+    names = ("velocity_time_constant", "velocity_filter_shape")
+    rows = [np.broadcast_to(parameters[name][0].numpy() if name in parameters else 0.0, joints) for name in names]
+    matrix = cache(lambda lag, shape: filter_matrix(lag, shape, ticks, period))
+    return np.stack([matrix(lag, shape) for lag, shape in np.stack(rows, 1).tolist()])
+
+
+def _piece_ends(ticks: int) -> list[tuple[int, int]]:
+    """First and last tick of every piece whose rate is compared."""
+    return list(pairwise(np.rint(np.linspace(0, ticks, PIECES + 1)).astype(int)[1:].tolist()))
+
+
+def velocity_weights(ticks: int) -> np.ndarray:
+    """Weights of velocities for their mean over a piece, ``[piece, tick]``."""
+    weights = np.zeros((RATES, ticks + 1))
+    for piece, (begin, end) in enumerate(_piece_ends(ticks)):
+        weights[piece, begin : end + 1] = 1.0 / (end - begin)
+        weights[piece, [begin, end]] /= 2
+    return weights
+
+
+def filtered_rate_weights(matrix: np.ndarray, period: float) -> np.ndarray:
+    """Weights of whitened positions for their filtered rate over a piece, ``[piece, tick]``.
+
+    Without sensor errors the result equals `velocity_weights` of whitened velocities.
+
+    Args:
+        matrix: of the servo's velocity filter, ``[tick, tick]``.
+        period: length of a tick [s].
+    """
+    scale = FLOORS["joint", "position"] / FLOORS["joint", "velocity"] / period
+    weights = matrix.copy()
+    weights[:, 0] -= weights.sum(1)  # the initial position is no velocity
+    return np.stack(
+        [scale * (weights[end] - weights[begin]) / (end - begin) for begin, end in _piece_ends(len(matrix) - 1)]
+    )
+
+
+def rate_variance(velocity: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Variance of the rate rows from the sensors' floors, by weights ``[piece, tick]``, ``[row]``."""
+    rotation = linalg.helmert(RATES, full=True)
+    return np.square(rotation @ velocity).sum(1) + np.square(rotation @ position).sum(1)

@@ -1,4 +1,4 @@
-"""The gap before and after in free-run simulations of logs that models were not fitted to."""
+"""The gap of two models in free-run simulations of held-out logs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,37 +13,36 @@ from op3.rollout import Rollout
 from op3.servo import RobotModel
 
 REPEATS = 2
-"""Repeats of one command that are simulated; all of them tell the floor."""
+"""Budget: repeats of one command that are simulated; the noise floor uses all of them."""
 
 
 def show(
     before: RobotModel, after: RobotModel, split: LogSplit, seed: int = 0, given: RobotModel | None = None
 ) -> dict[str, Any]:
-    """Gaps of two models in free-run simulations of the runs that show.
+    """Gaps of two models in free-run simulations of the held-out runs.
 
     Args:
         before: the baseline fit.
         after: the returned model.
-        split: of the logs.
-        seed: of resampling.
-        given: the model before it was refitted, whose gap is shown too.
+        split: split of the logs.
+        seed: seed of resampling.
+        given: the given model, whose gap is included.
 
     Returns:
-        ``gap`` by channel: ``given``, ``before``, ``after`` and ``floor`` (how far repeats differ from their mean) as
-        root mean squares with 90 % intervals over seconds, and ``better`` or ``worse`` if that is beyond chance;
-        ``loss`` with ``paper_eq7`` before and after; and the predictions.
+        ``gap`` by channel: ``given``, ``before``, ``after`` and ``floor`` (difference of repeats from their
+        mean) as root mean squares with 90 % intervals over seconds, and ``change``: ``better`` or ``worse`` if
+        significant; ``loss`` with ``paper_eq7`` before and after; and the predictions.
     """
     logs = shown_logs(split)
     runs = FreeRuns(logs)
-    first = runs.of(before)
-    second = first if after is before else runs.of(after)
-    zeroth = None if given is None else runs.of(given)
+    of_before = runs.of(before)
+    of_after = of_before if after is before else runs.of(after)
+    of_given = None if given is None else runs.of(given)
     loss = TrajectoryLoss(tuple(logs[0].joints))
     gap = {}
     for key, unit in runs.channels.items():
-        blocks = [np.concatenate(runs.squares(predictions, key)) for predictions in (first, second)]
-        apart = blocks[0] - blocks[1]
-        low, high = bootstrap_interval(apart, seed=seed)
+        blocks = [np.concatenate(runs.squares(predictions, key)) for predictions in (of_before, of_after)]
+        low, high = bootstrap_interval(blocks[0] - blocks[1], seed=seed)
         floor, change = _floor(split, key), "alike"
         if low is not None and high is not None:
             change = "better" if low > 0 else "worse" if high < 0 else "alike"
@@ -51,16 +50,16 @@ def show(
         for name, squares in (("before", blocks[0]), ("after", blocks[1]), ("floor", floor)):
             entry[name] = None if squares is None else float(np.sqrt(squares.mean()))
             entry[f"{name}_interval"] = None if squares is None else _interval(squares, seed)
-        if zeroth is not None:
-            entry["given"] = float(np.sqrt(np.concatenate(runs.squares(zeroth, key)).mean()))
+        if of_given is not None:
+            entry["given"] = float(np.sqrt(np.concatenate(runs.squares(of_given, key)).mean()))
         entry["closure"] = _closure(entry)
         gap["/".join(key)] = entry
-    told = {"name": "paper_eq7", "before": float(loss(first)[0]), "after": float(loss(second)[0])}
-    return {"gap": gap, "loss": told, "given": zeroth, "before": first, "after": second}
+    losses = {"name": "paper_eq7", "before": float(loss(of_before)[0]), "after": float(loss(of_after)[0])}
+    return {"gap": gap, "loss": losses, "given": of_given, "before": of_before, "after": of_after}
 
 
 def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:
-    """Logs that are simulated: no more than `REPEATS` of one command, as their free runs are nearly the same."""
+    """Logs that are simulated: at most `REPEATS` of one command, as their free-run simulations are nearly equal."""
     left_out = {i for group in split.repeats for i in group[REPEATS:]}
     return tuple(log for i, log in enumerate(split.show) if i not in left_out)
 
@@ -70,18 +69,18 @@ def _interval(blocks: np.ndarray, seed: int) -> list[float | None]:
 
 
 def _floor(split: LogSplit, key: tuple[str, str]) -> np.ndarray | None:
-    """Mean squares by which repeats of one command differ from their mean, by second, ``[block]``; None without any."""
+    """Mean square difference of repeats from their mean, by second, ``[block]``; None without repeats."""
     squares = []
     for group in split.repeats:
         rows = min(split.show[i].rows for i in group)
         values = np.stack([split.show[i].array(key)[:rows] for i in group])
-        noise, first = np.square(values - values.mean(0)).sum(0) / (len(group) - 1), split.show[group[0]]
-        squares.append(by_second(noise[:, first.measured(key)].mean(1), first))
+        noise, log = np.square(values - values.mean(0)).sum(0) / (len(group) - 1), split.show[group[0]]
+        squares.append(by_second(noise[:, log.measured(key)].mean(1), log))
     return np.concatenate(squares) if squares else None
 
 
 def _closure(entry: Mapping[str, Any]) -> float | None:
-    """Share of the gap above the floor that was closed; squares are what adds up."""
+    """Share of the gap above the noise floor that was closed; squares are additive."""
     floor = entry["floor"]
     if floor is None:
         return None

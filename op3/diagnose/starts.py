@@ -1,7 +1,7 @@
-"""Where a baseline fit begins: a start for every structure of its laws.
+"""The baseline fit from several starts, one for every structure of the laws.
 
-Stiction kills gradients, so an evolution strategy (CatCMA: Hamano et al. 2024) over the shared numbers finds the
-basins, in long steps; Gauss-Newton steps with the judge's noise then settle in each.
+Stiction removes gradients, so an evolution strategy (CatCMA: Hamano et al. 2024) over the shared parameters, with long
+simulation steps, finds the basins; Gauss-Newton steps with estimated noise converge in each.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -11,167 +11,159 @@ from itertools import chain
 import numpy as np
 from cmaes import CatCMA
 
-from op3.diagnose.base import ELSEWHERE, Baseline, End, as_usual, gap_of, settle
+from op3.diagnose.base import FEW_STEPS, Baseline, LocalOptimum, evidence_gain, gauss_newton, within_sound_spread
 from op3.diagnose.coordinates import (
     BENCH,
     CHAIN,
     WIDEST,
     Coordinates,
-    any_spread,
     base_coordinates,
     other_forms,
     with_chain,
-    with_own_spread,
+    with_robot_spread,
     with_setups,
+    with_student_spread,
 )
-from op3.diagnose.judge_settings import SETTINGS, Settings
 from op3.diagnose.reduction import Reduction
 from op3.servo import RobotModel, Stage
 
-GENERATIONS, FINE, SIGMA = 50, 10, 0.2
-"""Of the search: generations, the last of them in steps half as long, and the first one's standard deviation as a share
-of every range."""
+GENERATIONS, FINE_GENERATIONS, SIGMA = 50, 10, 0.2
+"""Budget of the search: generations, the last of them with steps half as long; numerical: the initial standard
+deviation as a share of every range."""
 
 FACTORS = (0.25, 0.5, 2.0, 4.0)
-"""Of a servo's number on what all share, from which a fit begins where they predict better than 1."""
+"""Numerical: factors on a parameter of one servo that are compared before a fit."""
 
 GEAR = (Stage.GEAR, Stage.LOAD)
-"""Stages of the effects that say where the gear's losses go."""
+"""Stages of the effects that describe the gear's losses."""
 
-FEWEST_WINDOWS, FINALISTS = 24, 2
-"""Windows on which starts settle first, at least, and starts that settle on all."""
-
-
-def thin_windows(reduction: Reduction) -> int:
-    """How many windows what is tried first is tried on."""
-    return max(FEWEST_WINDOWS, reduction.windows // 3)
+FINALISTS = 2
+"""Budget: starts that are fitted on all windows."""
 
 
 def fit_base(
     reduction: Reduction,
     model: RobotModel,
     rng: np.random.Generator,
-    settings: Settings = SETTINGS,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Baseline:
-    """Fit a model's own numbers, its servos' spread and the chain of measurement.
+    """Fit the model's parameters, the spread between servos and the measurement chain.
 
-    One servo may differ from the others as far as it likes while all is fitted. In the result it differs as servos of a
-    sound robot do at most; what it differs by more is for the judge to name. Starts of every structure (form of the
-    gear's law, form of friction's, commands before or after the next reading) settle on a third of the windows, the
-    best of these on all; from there every other law of the gear is tried once more.
+    Starts of every structure (form of the gear law and of the friction law, commands before or after the next reading)
+    are fitted on a third of the windows, the best of them on all; then every other gear law is fitted once more. A
+    Student prior lets one servo differ strongly. In the result each servo is clipped to the spread of a sound robot,
+    and a candidate must explain the excess.
     """
-    lengths = reduction.engine.lengths
+    lengths, settings = reduction.engine.lengths, reduction.settings
     full = with_chain(with_setups(model, lengths))
     priors = {**CHAIN, **BENCH} if lengths else CHAIN
-    usual = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
-    coordinates = any_spread(usual, settings.tails)
-    thin = reduction.thinned(thin_windows(reduction))
-    # another law of the gear does best with other numbers everywhere: each gets a start of its own
+    sound = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
+    coordinates = with_student_spread(sound, settings.tails)
+    thin = reduction.thinned()
+    # each gear law has an optimum of its own in all parameters
     gears = [full, *other_forms(full, lambda effect: effect.stage in GEAR)]
     groups = [[gear, *other_forms(gear, lambda effect: effect.stage not in GEAR)] for gear in gears]
 
-    def ends() -> Iterator[Baseline]:
+    def first_fits() -> Iterator[Baseline]:
         for number, forms in enumerate(groups):
-            at, point = search(thin, coordinates, rng, forms)
-            yield settle(thin, at, apart(thin, at, point), settings, ELSEWHERE)
+            found, point = search(thin, coordinates, rng, forms)
+            yield gauss_newton(thin, found, with_servo_factors(thin, found, point), FEW_STEPS)
             progress(0.5 * (number + 1) / len(groups))
         if len(groups) == 1:
-            yield settle(thin, coordinates, coordinates.start, settings, ELSEWHERE)
+            yield gauss_newton(thin, coordinates, coordinates.start, FEW_STEPS)
 
-    first, _ = _ranked(thin, ends(), settings)
-    forms = next(group for group in groups if _gear(group[0]) == _gear(first.coordinates.model))
-    anew = (settle(thin, *at, settings, ELSEWHERE) for at in _elsewhere(first, forms, reduction.engine.period))
-    _, best = _ranked(thin, chain([first], anew), settings)
+    best, _ = _ranked(thin, first_fits())
+    forms = next(group for group in groups if _gear_forms(group[0]) == _gear_forms(best.coordinates.model))
+    further = (gauss_newton(thin, *start, FEW_STEPS) for start in _further_starts(best, forms, reduction.engine.period))
+    _, optima = _ranked(thin, chain([best], further))
     progress(0.6)
-    finals = (settle(reduction, end.coordinates, end.point, settings) for end in best[:FINALISTS])
-    first, ranked = _ranked(reduction, finals, settings)
+    finals = (gauss_newton(reduction, optimum.coordinates, optimum.point) for optimum in optima[:FINALISTS])
+    best, optima = _ranked(reduction, finals)
     progress(0.75)
-    first, ranked = with_best_gear(reduction, thin, first, ranked, settings)
+    best, optima = with_best_gear(reduction, thin, best, optima)
     progress(0.9)
-    others = tuple(replace(end, gain=end.gain - ranked[0].gain) for end in ranked[1:])
-    own, point = with_own_spread(first.coordinates, first.point, first.deviations, settings)
-    free = settle(reduction, own, point, settings, state=first.fit.state)
-    return replace(as_usual(reduction, free, settings), others=others)
+    others = tuple(replace(optimum, gain=optimum.gain - optima[0].gain) for optimum in optima[1:])
+    spread, point = with_robot_spread(best.coordinates, best.point, best.deviations, settings)
+    free = gauss_newton(reduction, spread, point, variances=best.fit.variances)
+    return replace(within_sound_spread(reduction, free), other_optima=others)
 
 
-def _gear(model: RobotModel) -> list:
-    """The forms of the gear's law."""
+def _gear_forms(model: RobotModel) -> list:
+    """The gear's effects that have several forms."""
     return [effect for effect in model.effects if effect.stage in GEAR and effect.written]
 
 
-def _ranked(reduction: Reduction, bases: Iterator[Baseline], settings: Settings) -> tuple[Baseline, list[End]]:
-    """The best of bases, and where all ended, the best first; a base holds 15 MB, and the others are let go."""
+def _ranked(reduction: Reduction, bases: Iterator[Baseline]) -> tuple[Baseline, list[LocalOptimum]]:
+    """The best of several fits, and all optima, the best first; only the best is kept in memory (15 MB each)."""
     first = best = next(bases)
-    most, ends = 0.0, [End(first.coordinates, first.point, 0.0)]
+    highest, optima = 0.0, [LocalOptimum(first.coordinates, first.point, 0.0)]
     for base in bases:
-        gain = gap_of(reduction, first, base, settings)
-        ends.append(End(base.coordinates, base.point, gain))
-        if gain > most:
-            most, best = gain, base
-    return best, sorted(ends, key=lambda end: -end.gain)
+        gain = evidence_gain(reduction, first, base)
+        optima.append(LocalOptimum(base.coordinates, base.point, gain))
+        if gain > highest:
+            highest, best = gain, base
+    return best, sorted(optima, key=lambda optimum: -optimum.gain)
 
 
-def _elsewhere(base: Baseline, forms: Sequence[RobotModel], period: float) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """Where else a base may begin, as each has a basin of its own.
+def _further_starts(
+    base: Baseline, forms: Sequence[RobotModel], period: float
+) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """Further starts, each in a basin of its own.
 
-    In every form of friction's laws, from where the base is and with friction as at first; and with commands before the
-    next reading where they come after it, and the other way round, whose currents lag the more or the less, or a whole
-    reading earlier or later: a reading shows the first of a command's current, or nothing of it yet.
+    Every form of the friction laws, with the fitted and with the initial friction; and commands that take effect on the
+    other side of the next reading, with the current lag changed by as much, or one whole period earlier or later: a
+    reading contains the first current of a command or none of it.
     """
-    own, point = base.coordinates, base.point
-    as_at_first = _at_first(base, (Stage.FRICTION,))
+    coordinates, point = base.coordinates, base.point
+    initial = _with_initial(base, (Stage.FRICTION,))
     for form in forms:
-        yield replace(own, model=form), point
-        yield replace(own, model=form), as_at_first
-    at = {entry.parameter: i for i, entry in enumerate(own.entries) if entry.joints is None}
-    late, lag = at.get("command_latency"), at.get("current_time_constant")
-    if late is None or lag is None:
+        yield replace(coordinates, model=form), point
+        yield replace(coordinates, model=form), initial
+    index = {entry.parameter: i for i, entry in enumerate(coordinates.entries) if entry.joints is None}
+    latency, lag = index.get("command_latency"), index.get("current_time_constant")
+    if latency is None or lag is None:
         return
     margin = CHAIN["command_latency"].spread
-    across = period - point[late] + (-margin if point[late] > period else margin)
-    for later, less in ((across, across), (period, 0.0), (-period, 0.0)):
-        moved = point.copy()
-        moved[[late, lag]] += later, -less
-        if own.low[late] <= moved[late] <= own.high[late]:
-            yield own, np.clip(moved, own.low, own.high)
+    across = period - point[latency] + (-margin if point[latency] > period else margin)
+    for later, less_lag in ((across, across), (period, 0.0), (-period, 0.0)):
+        start = point.copy()
+        start[[latency, lag]] += later, -less_lag
+        if coordinates.low[latency] <= start[latency] <= coordinates.high[latency]:
+            yield coordinates, np.clip(start, coordinates.low, coordinates.high)
 
 
 def with_best_gear(
-    reduction: Reduction, thin: Reduction, base: Baseline, ends: list[End], settings: Settings
-) -> tuple[Baseline, list[End]]:
-    """The base with the law of the gear that explains the logs best once all else is fitted, and where other starts
-    ended; the same base where no other law is better."""
-    anew = (settle(thin, *at, settings, ELSEWHERE) for at in _other_gears(base))
-    _, best = _ranked(thin, anew, settings)
-    if best[0].gain <= 0.0:
-        return base, ends
-    final = settle(reduction, best[0].coordinates, best[0].point, settings)
-    return _ranked(reduction, iter([base, final]), settings)
+    reduction: Reduction, thin: Reduction, base: Baseline, optima: list[LocalOptimum]
+) -> tuple[Baseline, list[LocalOptimum]]:
+    """The baseline with the best gear law once all else is fitted, and all optima; the same where no law is better."""
+    _, gears = _ranked(thin, (gauss_newton(thin, *start, FEW_STEPS) for start in _gear_starts(base)))
+    if gears[0].gain <= 0.0:
+        return base, optima
+    final = gauss_newton(reduction, gears[0].coordinates, gears[0].point)
+    return _ranked(reduction, iter([base, final]))
 
 
-def _other_gears(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """Where a base may begin with another law of the gear, once all else is about right: a law that was left behind
-    with worse numbers may be the better one.
+def _gear_starts(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
+    """Starts with other gear laws, which may be better once all other parameters are fitted.
 
-    As it is; in every other form, from where the base is and with the gear's numbers as at first; and in every form
-    with a gear that loses more near rest, which another form may have taken the place of.
+    The fit itself; every other form, with the fitted and with the initial gear parameters; and every form with more
+    loss near rest, which another form may have replaced.
     """
-    own, point = base.coordinates, base.point
-    yield own, point
-    near = np.array([entry.parameter == "near_rest_loss" for entry in own.entries])
-    more = np.where(near, CHAIN["near_rest_loss"].spread, point)
-    yield own, more
-    for form in other_forms(own.model, lambda effect: effect.stage in GEAR):
-        yield from ((replace(own, model=form), at) for at in (point, _at_first(base, GEAR), more))
+    coordinates, point = base.coordinates, base.point
+    yield coordinates, point
+    near_rest = np.array([entry.parameter == "near_rest_loss" for entry in coordinates.entries])
+    lossy = np.where(near_rest, CHAIN["near_rest_loss"].spread, point)
+    yield coordinates, lossy
+    for form in other_forms(coordinates.model, lambda effect: effect.stage in GEAR):
+        yield from ((replace(coordinates, model=form), start) for start in (point, _with_initial(base, GEAR), lossy))
 
 
-def _at_first(base: Baseline, stages: Sequence[Stage]) -> np.ndarray:
-    """A base's point with the numbers of some stages' effects where the fit began."""
+def _with_initial(base: Baseline, stages: Sequence[Stage]) -> np.ndarray:
+    """A baseline's point with the parameters of some stages at their initial values."""
     effects = [effect for effect in base.coordinates.model.effects if effect.stage in stages]
-    names = {known.name for effect in effects for known in effect.parameters}
-    mine = np.array([entry.parameter in names for entry in base.coordinates.entries])
-    return np.where(mine, base.coordinates.start, base.point)
+    names = {parameter.name for effect in effects for parameter in effect.parameters}
+    initial = np.array([entry.parameter in names for entry in base.coordinates.entries])
+    return np.where(initial, base.coordinates.start, base.point)
 
 
 def search(
@@ -180,10 +172,9 @@ def search(
     rng: np.random.Generator,
     forms: Sequence[RobotModel] = (),
 ) -> tuple[Coordinates, np.ndarray]:
-    """An evolution strategy over the shared numbers, in logarithms where they are positive, and the forms of laws.
+    """Evolution strategy over the shared parameters, logarithmic where they are positive, and the forms of the laws.
 
-    Each form does best with numbers of its own, so that it is drawn like a number. Noise of the judge is not known yet,
-    and what servos differ by neither.
+    Noise and differences between servos are not estimated yet.
     """
     options = [replace(coordinates, model=form) for form in forms] or [coordinates]
     shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
@@ -191,40 +182,40 @@ def search(
     positive = (low >= 0) & (start > 0)
     bottom = np.where(positive, np.maximum(low, start / WIDEST), low)
     with np.errstate(divide="ignore", invalid="ignore"):
-        least, most, given = (np.where(positive, np.log(end), end) for end in (bottom, high, start))
+        lower, upper, initial = (np.where(positive, np.log(x), x) for x in (bottom, high, start))
 
-    def costs_of(drawn: Sequence, stretch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Costs, points and forms of what was drawn."""
-        x = least + np.array([one for one, _ in drawn]) * (most - least)
-        form = np.array([one.argmax() for _, one in drawn]) % len(options)
-        whole, cost = np.tile(coordinates.start, (len(x), 1)), np.zeros(len(x))
-        whole[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
+    def costs_of(samples: Sequence, stretch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Costs, points and forms of samples."""
+        x = lower + np.array([numbers for numbers, _ in samples]) * (upper - lower)
+        form = np.array([choice.argmax() for _, choice in samples]) % len(options)
+        points, cost = np.tile(coordinates.start, (len(x), 1)), np.zeros(len(x))
+        points[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
-            if (mine := form == number).any():
-                cost[mine] = robust(reduction.at(option, whole[mine], stretch), reduction.limbs).sum(0)
-        return cost + coordinates.penalties(whole), whole, form
+            if (rows := form == number).any():
+                cost[rows] = robust_costs(reduction.errors_at(option, points[rows], stretch), reduction.limbs).sum(0)
+        return cost + coordinates.penalties(points), points, form
 
     strategy = CatCMA(
-        np.clip((given - least) / (most - least), 0.05, 0.95),
+        np.clip((initial - lower) / (upper - lower), 0.05, 0.95),
         SIGMA,
-        cat_num=np.array([max(2, len(options))]),  # it asks for a choice: one form stands there twice
+        cat_num=np.array([max(2, len(options))]),  # a single form is listed twice, as a choice needs two
         bounds=np.array([[0.0, 1.0]] * len(shared)),
         seed=int(rng.integers(2**31)),
     )
     best = np.inf, coordinates.start, 0
     for generation in range(GENERATIONS):
-        drawn = [strategy.ask() for _ in range(strategy.population_size)]
-        fine = generation >= GENERATIONS - FINE
-        cost, whole, form = costs_of(drawn, 2 if fine else 4)
-        strategy.tell([(one, float(its)) for one, its in zip(drawn, cost, strict=True)])
+        samples = [strategy.ask() for _ in range(strategy.population_size)]
+        fine = generation >= GENERATIONS - FINE_GENERATIONS
+        cost, points, form = costs_of(samples, 2 if fine else 4)
+        strategy.tell([(sample, float(value)) for sample, value in zip(samples, cost, strict=True)])
         if fine and cost.min() < best[0]:
-            best = cost.min(), whole[cost.argmin()], form[cost.argmin()]
+            best = cost.min(), points[cost.argmin()], form[cost.argmin()]
     return options[best[2]], best[1]
 
 
-def robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
-    """Cost of whitened errors by limb, ``[limb, set]``: what a joint misses altogether in a window counts once, so that
-    one bad joint does not decide what all share."""
+def robust_costs(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndarray:
+    """Robust cost of whitened errors, ``[limb, set]``: logarithmic in each joint and window, so that one faulty joint
+    does not determine the shared parameters."""
     costs = []
     for error, limb in zip(errors, limbs, strict=True):
         sets, windows, _ = error.shape
@@ -233,26 +224,26 @@ def robust(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> np.ndar
     return np.array(costs)
 
 
-def apart(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
-    """A point with the numbers of one servo after another where its limb is predicted best: as they are, or one of them
-    many times larger or smaller.
+def with_servo_factors(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
+    """A point at which each servo has the one parameter scaled by the one factor that predicts its limb best, if any.
 
-    A joint that sticks where it should move has no gradient that says so, and a fit would leave it to noise.
+    A joint that sticks where it should move has no gradient towards a parameter several times as large.
     """
-    numbers: dict[int, dict[str, int]] = {}
+    indices: dict[int, dict[str, int]] = {}
     for i, entry in enumerate(coordinates.entries):
-        if entry.of_servo and entry.kind == "scale":
-            numbers.setdefault(entry.joints[0], {})[entry.parameter] = i  # type: ignore[index]
-    tried = [(name, factor) for name in next(iter(numbers.values()), {}) for factor in FACTORS]
-    for slot in range(max(map(len, reduction.limbs)) if numbers else 0):
-        joints = [int(limb[slot]) for limb in reduction.limbs if slot < len(limb) and int(limb[slot]) in numbers]
-        points = np.tile(point, (len(tried) + 1, 1))  # the first as it is
-        alone = {joint: points.copy() for joint in joints}
+        if entry.per_servo and entry.kind == "scale":
+            indices.setdefault(entry.joints[0], {})[entry.parameter] = i  # type: ignore[index]
+    trials = [(name, factor) for name in next(iter(indices.values()), {}) for factor in FACTORS]
+    for slot in range(max(map(len, reduction.limbs)) if indices else 0):
+        joints = [int(limb[slot]) for limb in reduction.limbs if slot < len(limb) and int(limb[slot]) in indices]
+        points = np.tile(point, (len(trials) + 1, 1))  # the first unchanged
+        by_joint = {joint: points.copy() for joint in joints}
         for joint in joints:
-            for row, (name, factor) in enumerate(tried, 1):
-                points[row, numbers[joint][name]] = alone[joint][row, numbers[joint][name]] = factor - 1.0
-        costs = robust(reduction.at(coordinates, points), reduction.limbs)
-        for joint in joints:  # limbs do not feel each other
-            best = int((costs[reduction.limb_of[joint]] + coordinates.penalties(alone[joint])).argmin())
-            point = np.where(alone[joint][best] != alone[joint][0], alone[joint][best], point)
+            for row, (name, factor) in enumerate(trials, 1):
+                points[row, indices[joint][name]] = by_joint[joint][row, indices[joint][name]] = factor - 1.0
+        costs = robust_costs(reduction.errors_at(coordinates, points), reduction.limbs)
+        for joint in joints:  # limbs are not coupled
+            trial_points = by_joint[joint]
+            best = int((costs[reduction.limb_of[joint]] + coordinates.penalties(trial_points)).argmin())
+            point = np.where(trial_points[best] != trial_points[0], trial_points[best], point)
     return point

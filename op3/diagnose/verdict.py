@@ -1,4 +1,4 @@
-"""A verdict: findings, what stays unexplained in every joint, and how far its base can be trusted."""
+"""The verdict: findings, unexplained torque of every joint, and doubts about the baseline fit."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -10,12 +10,12 @@ from op3.diagnose.window_gaps import WindowGaps, plain_gaps
 from op3.servo import RobotModel, effect_class
 
 LIKELY = 0.5
-"""Probability beyond which a finding is a name; at most that of findings on a base in doubt."""
+"""Display: probability above which a finding is likely, and the largest one for short logs."""
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """A name that is not distinguished from a finding's."""
+    """Another effect that predicts the held-out runs as well as a finding."""
 
     effect: str
     joints: tuple[str, ...]
@@ -25,26 +25,26 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that the model lacks, or a number of its chain of measurement that is unusual.
+    """One effect that the model does not include, or an unusual parameter of the measurement chain.
 
     Attributes:
         effect: name in the catalogue.
-        joints: names of the joints in which it sits.
-        shared: whether all joints have it alike.
-        parameter: the number that says how much of it there is.
-        size: its value; of an effect that the base has, what is added to that.
-        unit: of the size.
+        joints: names of its joints.
+        shared: whether it applies to all joints with the same value.
+        parameter: name of the parameter that is its size.
+        size: value of this parameter; for an effect that the baseline includes, the increment.
+        unit: unit of the size.
         interval: 90 % interval of the size.
-        probability: that this is what is missing.
-        log_odds: of the evidence by which it was proposed.
-        gain: by how much the model with it predicts runs that were left out better than the model without.
-        alternatives: what it could be confused with, with probabilities.
-        torque: what it makes in the joints that feel it most [N m], root mean square.
-        load: largest share of a joint's torque that this is.
-        of_base: whether it is a number that every baseline fit has, far from what is usual.
-        opened: its gain in standard errors with the ranges opened of those numbers of the baseline that ended at a
-            bound; None where none did.
-        beyond: whether its size ended where the searched range does: it may be larger.
+        probability: probability of this effect and these joints.
+        log_odds: log evidence ratio in the fitted windows.
+        gain: held-out gain of the model with it over the model without it.
+        alternatives: effects that are not distinguishable from it, with probabilities.
+        torque: RMS torque in the joints with the largest torque [N m].
+        load: largest ratio of this torque to a joint's RMS torque.
+        of_base: whether it is a parameter that every baseline fit has, with an unusual value.
+        opened: its gain in standard errors with wider bounds of the baseline's parameters that ended at a bound; None
+            if no parameter did.
+        beyond: whether the size ended at the end of the searched range, so that it may be larger.
     """
 
     effect: str
@@ -66,18 +66,18 @@ class Finding:
 
     @property
     def separate_by(self) -> str:
-        """The experiments that would tell it from its alternatives."""
+        """The experiments that would distinguish it from its alternatives."""
         names = [self.effect, *(other.effect for other in self.alternatives)] if self.alternatives else []
         return separating(names)
 
     @property
     def likely(self) -> bool:
-        """Whether it, or one of its alternatives, is more likely there than not."""
+        """Whether it or one of its alternatives has a probability above `LIKELY`, in sum."""
         return self.probability + sum(other.probability for other in self.alternatives) > LIKELY
 
     @property
     def phrase(self) -> str:
-        """Name, place and size in a few words."""
+        """Effect, joints and size in a few words."""
         size = f"{self.size:.3g} {self.unit}".removesuffix(" -")  # pure numbers have no unit
         size = f"at least {size}, end of the searched range" if self.beyond else size
         return f"{_place(self.effect, self.joints, self.shared)} ({words(self.parameter)} {size})"
@@ -85,15 +85,15 @@ class Finding:
 
 @dataclass(frozen=True)
 class JointGap:
-    """What a joint lacks, in torque, root mean square over windows [N m].
+    """Residual torque of a joint, RMS over windows [N m].
 
     Attributes:
-        before: under the base.
-        after: with the findings.
-        floor: what sensors make of noise.
-        unexplained: what the joint does and no effect of the catalogue explains.
-        flagged: whether that is more than joints of sound robots have.
-        shape: share of it that goes with position, velocity, load and time.
+        before: under the baseline fit.
+        after: under the returned model.
+        floor: noise of the sensors.
+        unexplained: part that no effect of the catalogue explains.
+        flagged: whether this part exceeds that of joints of sound robots.
+        shape: share of its variance that position, velocity, load and time explain.
     """
 
     before: float
@@ -106,22 +106,22 @@ class JointGap:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What a diagnosis says.
+    """Result of a diagnosis.
 
     Attributes:
-        findings: most probable first.
-        joints: what each joint lacks, by name.
-        doubts: sentences about the baseline fit: numbers at a bound, other optima.
-        unidentifiable: shared numbers that are not identifiable from these logs.
-        cannot_tell: what the logs do not show, and what to record.
+        findings: the most probable first.
+        joints: residual torque of each joint, by name.
+        doubts: sentences about the baseline fit: parameters at a bound, other optima.
+        unidentifiable: shared parameters that are not identifiable from these logs.
+        cannot_tell: sentences about what the logs do not show and what to record.
         base: the baseline fit: the given model refitted without new effects.
         model: the returned model: the baseline with every finding.
         windows: the gap in windows of held-out runs, in three stages; None where there are no windows.
-        gap: by channel, before and after in free-run simulations of runs that nothing was chosen by.
-        loss: ``paper_eq7`` before and after on them.
-        chain: the numbers of the chain of measurement, as found and as usual.
-        ranking: what was considered, best first.
-        ends: by how much the other best starts of the baseline fit end worse, in minus two log evidence.
+        gap: by channel, before and after in free-run simulations of held-out runs.
+        loss: ``paper_eq7`` before and after on these runs.
+        chain: parameters of the measurement chain, fitted and usual.
+        ranking: hypotheses before any effect was named, the best first.
+        ends: -2 log evidence of the other optima of the baseline fit minus that of the best.
         not_shown: effects that these logs would not show at any plausible size, and in which joints.
         seconds: processor time by stage.
         shown: predictions for the page.
@@ -146,12 +146,12 @@ class Verdict:
 
     @property
     def verdict(self) -> str:
-        """``named``; ``ambiguous``: a finding has several names; ``unknown``: a joint lacks what no effect explains, or
-        nothing can be told; ``nothing_missing``."""
+        """``named``; ``ambiguous``: a finding has alternatives; ``unknown``: no finding, but a joint has unexplained
+        torque or the logs show nothing; ``nothing_missing``."""
         if self.findings:
             return "ambiguous" if any(finding.alternatives for finding in self.findings) else "named"
-        lost = (self.cannot_tell and not self.joints) or any(gap.flagged for gap in self.joints.values())
-        return "unknown" if lost else "nothing_missing"
+        unknown = (self.cannot_tell and not self.joints) or any(gap.flagged for gap in self.joints.values())
+        return "unknown" if unknown else "nothing_missing"
 
     @property
     def sentence(self) -> str:
@@ -172,8 +172,8 @@ class Verdict:
         """The gap in windows of held-out runs in three stages."""
         if self.windows is None:
             return ""
-        one = self.windows.whole["position"]
-        floor = "" if one.floor is None else f"; repeats differ by {1e3 * one.floor:.2f} mrad"
+        gap = self.windows.whole["position"]
+        floor = "" if gap.floor is None else f"; repeats differ by {1e3 * gap.floor:.2f} mrad"
         worse = (
             f" The baseline fit of {', '.join(map(words, self.windows.worse))} is worse than the given model."
             if self.windows.worse
@@ -181,8 +181,8 @@ class Verdict:
         )
         return (
             f"RMS angle error in {self.windows.length:.2g} s windows of held-out runs:"
-            f" given model {1e3 * one.given:.2f} mrad, baseline fit {1e3 * one.baseline:.2f} mrad,"
-            f" returned model {1e3 * one.returned:.2f} mrad{floor}.{worse}"
+            f" given model {1e3 * gap.given:.2f} mrad, baseline fit {1e3 * gap.baseline:.2f} mrad,"
+            f" returned model {1e3 * gap.returned:.2f} mrad{floor}.{worse}"
         )
 
     def plain(self) -> dict[str, Any]:
@@ -191,7 +191,7 @@ class Verdict:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "base": plain({name: getattr(self, name) for name in ("doubts", "unidentifiable", "chain", "ends")}),
-            "findings": [plain(one) | {"separate_by": one.separate_by} for one in self.findings],
+            "findings": [plain(finding) | {"separate_by": finding.separate_by} for finding in self.findings],
             **{
                 name: plain(getattr(self, name))
                 for name in ("joints", "cannot_tell", "not_shown", "gap", "loss", "ranking", "seconds")
@@ -201,13 +201,13 @@ class Verdict:
 
 
 def separating(effects: Iterable[str]) -> str:
-    """What the catalogue says would separate some effects, by their names, each experiment once."""
+    """The catalogue's experiments that separate some effects, each once."""
     return "; ".join(dict.fromkeys(filter(None, (effect_class(name).separating_experiment for name in effects))))
 
 
 def _stated(finding: Finding) -> str:
-    either = [finding.phrase, *(_place(r.effect, r.joints, r.shared) for r in finding.alternatives)]
-    return f"{', or '.join(either)}, with probability {finding.probability:.2f}"
+    names = [finding.phrase, *(_place(r.effect, r.joints, r.shared) for r in finding.alternatives)]
+    return f"{', or '.join(names)}, with probability {finding.probability:.2f}"
 
 
 def _place(effect: str, joints: Sequence[str], shared: bool) -> str:
@@ -217,11 +217,11 @@ def _place(effect: str, joints: Sequence[str], shared: bool) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Plain values for YAML, numbers with four digits."""
+    """Values for YAML, numbers with four digits."""
     if is_dataclass(value):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
+        return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(item) for item in value]
     return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -1,7 +1,7 @@
-"""Numbers refitted on whole runs: windows tell laws apart, whole runs tell how large they are.
+"""Shared parameters of a bench refitted on whole runs: windows distinguish laws, whole runs determine sizes precisely.
 
-A hundredth of inertia or of friction is lost in a window among what its sensors make of noise; over the seconds of a
-free swing it adds up. What whole runs do not tell stays as the windows say it.
+An error of one percent in inertia or friction is below the noise of a window, but accumulates over seconds of a free
+swing. Parameters that whole runs do not determine keep the values of the windows.
 """
 
 from collections.abc import Sequence
@@ -20,40 +20,39 @@ from op3.replay.windows import LENGTHS
 from op3.rollout import Rollout
 
 REACH = 50.0
-"""Standard deviations of the windows by which a number may move: what they model wrong is no noise."""
+"""Numerical: largest change of a parameter in posterior standard deviations, which do not include model errors."""
 
 
 def on_whole_runs(base: Baseline, logs: Sequence[Rollout]) -> np.ndarray | None:
-    """The point of a base at which it predicts the angles of whole runs best, by its shared numbers.
+    """The baseline's point with shared parameters refitted to the angles of whole runs.
 
-    None where that costs too much, which it does but for the closed form of a bench, or whole runs tell nothing.
-
-    Differences beyond the median count less than their squares (pseudo-Huber), as in some runs something else happens.
-    A window's length counts as one reading, the windows' numbers as a prior, as wide as the base's own.
+    None for robots, where this would be too slow, or if all simulations diverge. The loss is pseudo-Huber; the length
+    of a window counts as one reading. The prior mean is the fit of the windows, with the baseline's prior deviations.
     """
     if logs[0].metadata.mount != "pendulum":
         return None
-    coordinates, at = base.coordinates, [i for i, e in enumerate(base.coordinates.entries) if e.joints is None]
+    coordinates = base.coordinates
+    shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
     step = BENCH_CONTROL_PERIOD * (1 if coordinates.model.stiff else 2)
     replay = Replay(logs, settle=settle_time(logs), bench_timestep=step, num_threads=1)
-    first = replay.run(coordinates.model, coordinates.values(base.point[None]))
-    usual = float(position_error(first).nanmedian())
-    if not usual > 0.0:  # all diverged, or nothing is left
+    predicted = replay.run(coordinates.model, coordinates.values(base.point[None]))
+    median = float(position_error(predicted).nanmedian())
+    if not median > 0.0:  # all diverged
         return None
-    loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=usual)
-    reading = np.sqrt(float(loss(first)[0]) / sum(log.duration for log in logs) * LENGTHS["pendulum"])
-    reach = REACH * np.sqrt(np.diag(np.linalg.inv(base.fit.precision)))[at]
-    low = np.maximum(coordinates.low[at], base.point[at] - reach)
-    high = np.minimum(coordinates.high[at], base.point[at] + reach)
+    loss = TrajectoryLoss(weights={("joint", "position"): 1.0}, robust_scale=median)
+    reading = np.sqrt(float(loss(predicted)[0]) / sum(log.duration for log in logs) * LENGTHS["pendulum"])
+    reach = REACH * np.sqrt(np.diag(np.linalg.inv(base.fit.precision)))[shared]
+    low = np.maximum(coordinates.low[shared], base.point[shared] - reach)
+    high = np.minimum(coordinates.high[shared], base.point[shared] + reach)
 
     def residuals(unit: torch.Tensor) -> torch.Tensor:
         points = np.tile(base.point, (len(unit), 1))
-        points[:, at] = low + unit.numpy() * (high - low)
-        away = (points - base.point)[:, at] / coordinates.deviation[at] * reading
+        points[:, shared] = low + unit.numpy() * (high - low)
+        prior = (points - base.point)[:, shared] / coordinates.deviation[shared] * reading
         predictions = replay.run(coordinates.model, coordinates.values(points), len(points))
-        return torch.cat([loss.residuals(predictions), torch.from_numpy(away)], 1)
+        return torch.cat([loss.residuals(predictions), torch.from_numpy(prior)], 1)
 
-    box, point = Box(tuple(map(str, at)), low, high - low), base.point.copy()
-    found = refine(residuals, box, [{str(i): float(point[i]) for i in at}], max_iterations=8)
-    point[at] = list(found.values.values())
+    box, point = Box(tuple(map(str, shared)), low, high - low), base.point.copy()
+    refined = refine(residuals, box, [{str(i): float(point[i]) for i in shared}], max_iterations=8)
+    point[shared] = list(refined.values.values())
     return point

@@ -1,7 +1,7 @@
-"""The gap in windows of runs that nothing was chosen by, in three stages: given model, baseline fit, returned model.
+"""The gap in windows of held-out runs in three stages: given model, baseline fit, returned model.
 
-Windows of 0.2 s are those that names are decided by: they start from the measured state and get the commands of the
-log. Those of the horizons start there too, and the controller acts on what is simulated, as in a policy's rollout.
+Windows of 0.2 s are like those of the fit: they start from the measured state and get the commands of the log. Windows
+of the horizons also start there, but their controller acts on the simulated state, as in a policy's rollout.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,36 +18,36 @@ from op3.rollout import Rollout
 from op3.servo import RobotModel
 
 STAGES = ("given", "baseline", "returned")
-"""Models whose gap is shown."""
+"""The three models."""
 
 HORIZONS = (0.25, 0.5, 1.0, 6.0)
 """Lengths of closed-loop windows [s]: those of ASAP (He et al. 2025), BAM (Duclusaud et al. 2025) and PACE (Bjelonic et
 al. 2025)."""
 
 ROOM = 0.2
-"""By how much a run has to be longer than a window [s]."""
+"""Numerical: smallest difference between the length of a run and of its windows [s]."""
 
 PER_LOG = 6
-"""Windows of each run."""
+"""Budget: windows of each run."""
 
 CHANNELS = {"position": "rad", "current": "A", "torque": "N m"}
-"""What is compared, and units."""
+"""Compared quantities and their units."""
 
-FARTHEST = {"position": 0.5, "current": 5.0}
-"""Where errors of a window end, which has diverged."""
+LARGEST_ERROR = {"position": 0.5, "current": 5.0}
+"""Numerical: clipping range of errors [rad, A], which a diverged simulation exceeds."""
 
 
 @dataclass(frozen=True)
 class StageGap:
-    """An error under the three models, root mean square.
+    """RMS error of the three models.
 
     Attributes:
-        unit: of all.
-        given: under the given model.
-        baseline: under the given model refitted, without new effects.
-        returned: under the model with the findings.
-        floor: how far repeats of a command differ, from the same state; None without repeats.
-        signal: root mean square of what is predicted.
+        unit: unit of all values.
+        given: error of the given model.
+        baseline: error of the baseline fit.
+        returned: error of the returned model.
+        floor: difference between repeats of a command from the same state; None without repeats.
+        signal: RMS of the measured signal.
     """
 
     unit: str
@@ -59,7 +59,7 @@ class StageGap:
 
     @property
     def percent(self) -> dict[str, float]:
-        """Errors as shares of the signal [%]."""
+        """Errors relative to the signal [%]."""
         return {stage: 100.0 * getattr(self, stage) / max(self.signal, 1e-12) for stage in STAGES}
 
 
@@ -68,11 +68,11 @@ class WindowGaps:
     """Errors in windows of held-out runs.
 
     Attributes:
-        length: of the windows [s].
-        runs: how many.
-        joints: by joint and channel.
-        whole: over all joints, by channel.
-        horizons: over all joints, angle in closed loop, by length of the window [s].
+        length: length of the windows [s].
+        runs: number of runs.
+        joints: errors by joint and channel.
+        whole: errors over all joints, by channel.
+        horizons: errors of the angle in closed loop over all joints, by length of the window [s].
     """
 
     length: float
@@ -83,20 +83,21 @@ class WindowGaps:
 
     @property
     def worse(self) -> list[str]:
-        """Joints whose angle the baseline fit predicts worse than the given model, by more than a tenth."""
-        return [joint for joint, of in self.joints.items() if of["position"].baseline > 1.1 * of["position"].given]
+        """Joints whose angle error under the baseline fit is more than 10 % larger than under the given model."""
+        angles = {joint: channels["position"] for joint, channels in self.joints.items()}
+        return [joint for joint, gap in angles.items() if gap.baseline > 1.1 * gap.given]
 
 
 def window_gaps(
     models: Sequence[RobotModel], base: Baseline, split: LogSplit, logs: Sequence[Rollout]
 ) -> WindowGaps | None:
-    """Errors of the given model, the baseline fit and the returned model; None where no log is as long as a window.
+    """Errors of three models; None if no log is as long as a window.
 
     Args:
-        models: in that order.
-        base: the baseline fit, whose responses turn errors into torques.
-        split: of the logs, whose repeats tell the floor.
-        logs: that show.
+        models: given model, baseline fit and returned model.
+        base: the baseline fit, whose reduction converts errors to torques.
+        split: split of the logs, whose repeats give the noise floor.
+        logs: held-out logs.
     """
     logs = [log for log in logs if log.duration >= LENGTHS[log.metadata.mount] + ROOM]
     if not logs:
@@ -107,8 +108,9 @@ def window_gaps(
     squares, signal = {}, {}
     for number, name in ((0, "position"), (2, "current")):
         if engine.known[:, number].any():
-            kept = [np.square(np.clip(error[..., number], -FARTHEST[name], FARTHEST[name])) for error in errors]
-            squares[name] = np.stack([np.where(engine.known[:, number], one, np.nan).mean((0, 1)) for one in kept])
+            limit, recorded = LARGEST_ERROR[name], engine.known[:, number]
+            square = [np.square(np.clip(error[..., number], -limit, limit)) for error in errors]
+            squares[name] = np.stack([np.where(recorded, values, np.nan).mean((0, 1)) for values in square])
             values = engine.measured[..., number]
             values = values - values[:, :1] if name == "position" else values
             signal[name] = np.square(values).mean((0, 1))
@@ -116,38 +118,39 @@ def window_gaps(
     floors = _floors(split, engine.ticks)
     joints: dict[str, dict[str, StageGap]] = {}
     for j, joint in enumerate(engine.joints):
-        of = {
-            name: _stage(CHANNELS[name], squares[name][:, j], floors.get(name, {}).get(joint), signal[name][j])
+        channels = {
+            name: _gap(CHANNELS[name], squares[name][:, j], floors.get(name, {}).get(joint), signal[name][j])
             for name in squares
             if np.isfinite(squares[name][:, j]).all()
         }
         if joint in torque:
-            of["torque"] = _stage("N m", *torque[joint])
-        if "position" in of:
-            joints[joint] = of
+            channels["torque"] = _gap("N m", *torque[joint])
+        if "position" in channels:
+            joints[joint] = channels
     return WindowGaps(
         engine.ticks * engine.period, len(logs), joints, _over_joints(joints), _horizons(models, logs, split)
     )
 
 
-def _stage(unit: str, squares: np.ndarray, floor: float | None, signal: float) -> StageGap:
-    given, baseline, returned = (float(np.sqrt(one)) for one in squares)
+def _gap(unit: str, squares: np.ndarray, floor: float | None, signal: float) -> StageGap:
+    """The RMS error from mean squares ``[model]``."""
+    given, baseline, returned = np.sqrt(squares).tolist()
     return StageGap(unit, given, baseline, returned, floor, float(np.sqrt(signal)))
 
 
 def _over_joints(joints: Mapping[str, Mapping[str, StageGap]]) -> dict[str, StageGap]:
-    """Root mean squares over joints, by channel."""
+    """RMS over joints, by channel."""
 
-    def over(parts: Sequence[StageGap], name: str) -> float | None:
-        known = [value for one in parts if (value := getattr(one, name)) is not None]
-        return float(np.sqrt(np.mean(np.square(known)))) if known else None
+    def rms(gaps: Sequence[StageGap], field: str) -> float | None:
+        values = [value for gap in gaps if (value := getattr(gap, field)) is not None]
+        return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
-    by_channel = {name: [of[name] for of in joints.values() if name in of] for name in CHANNELS}
+    by_channel = {name: [gaps[name] for gaps in joints.values() if name in gaps] for name in CHANNELS}
     fields = (*STAGES, "floor", "signal")
     return {
-        name: StageGap(CHANNELS[name], *(over(parts, field) for field in fields))  # type: ignore[arg-type]
-        for name, parts in by_channel.items()
-        if parts
+        name: StageGap(CHANNELS[name], *(rms(gaps, field) for field in fields))  # type: ignore[arg-type]
+        for name, gaps in by_channel.items()
+        if gaps
     }
 
 
@@ -161,27 +164,24 @@ def _errors(engine: WindowResiduals, model: RobotModel) -> np.ndarray:
 def _torques(
     reduction: Reduction, base: Baseline, models: Sequence[RobotModel]
 ) -> dict[str, tuple[np.ndarray, float | None, float]]:
-    """Mean squares of the torques that joints lack under the models, the sensors' floor and the load's mean square."""
+    """By joint the mean square residual torques of the models, the sensors' floor and the mean square torque."""
     reducers, variance = reduction.reducers(base.coordinates, base.point)
-    squares, mean = [], reduction.kinds < 2
+    unit, torque_rows, squares = reduction.torque_unit, reduction.kinds < 2, []
     for model in models:
-        rows = reduction.reduce(reducers, reduction.of_model(model))[0][..., mean]
-        squares.append(np.square(np.clip(rows, -100.0, 100.0)).mean((1, 2)) * reduction.unit**2)
-    known = np.concatenate([one.T for one in variance])  # [joint, window]
-    result = {}
-    for j, at in enumerate(reduction.judged):
-        if reduction.moving[at]:
-            floor = float(np.sqrt(np.median(known[j])) * reduction.unit)
-            result[reduction.engine.joints[at]] = (
-                np.array([one[j] for one in squares]),
-                floor,
-                reduction.loads[j] ** 2,
-            )
+        rows = reduction.reduce(reducers, reduction.errors(model, {}, 1))[0][..., torque_rows]
+        reduction.forget()
+        squares.append(np.square(np.clip(rows, -100.0, 100.0)).mean((1, 2)) * unit**2)
+    by_joint, result = np.concatenate([v.T for v in variance]), {}  # [joint, window]
+    for j, column in enumerate(reduction.joint_indices):
+        if reduction.moving[column]:
+            floor = float(np.sqrt(np.median(by_joint[j])) * unit)
+            of_models = np.array([square[j] for square in squares])
+            result[reduction.engine.joints[column]] = of_models, floor, reduction.loads[j] ** 2
     return result
 
 
 def _floors(split: LogSplit, ticks: int) -> dict[str, dict[str, float]]:
-    """How far repeats of a command differ within a window of so many ticks from one state, by channel and joint."""
+    """RMS difference of repeats of a command within windows from the same state, by channel and joint."""
     result: dict[str, dict[str, float]] = {}
     for name in ("position", "current"):
         squares = []
@@ -190,22 +190,22 @@ def _floors(split: LogSplit, ticks: int) -> dict[str, dict[str, float]]:
                 continue
             rows = min(split.show[i].rows for i in group)
             values = np.stack([split.show[i].array(f"joint/{name}")[:rows] for i in group])
-            apart = values - values.mean(0)
+            difference = values - values.mean(0)
             starts = np.arange(0, rows - ticks, ticks)
             if not len(starts):
                 continue
-            pieces = np.stack([apart[:, start : start + ticks + 1] for start in starts])
-            if name == "position":  # all begin where they were measured
-                pieces = pieces - pieces[:, :, :1]
-            squares.append(np.square(pieces).mean((0, 1, 2)) * len(group) / (len(group) - 1))
+            windows = np.stack([difference[:, start : start + ticks + 1] for start in starts])
+            if name == "position":  # windows start from the measured state
+                windows = windows - windows[:, :, :1]
+            squares.append(np.square(windows).mean((0, 1, 2)) * len(group) / (len(group) - 1))
         if squares:
-            both = zip(split.show[0].joints, np.mean(squares, 0), strict=True)
-            result[name] = {joint: float(np.sqrt(square)) for joint, square in both}
+            floors = np.sqrt(np.mean(squares, 0)).tolist()
+            result[name] = dict(zip(split.show[0].joints, floors, strict=True))
     return result
 
 
 def _horizons(models: Sequence[RobotModel], logs: Sequence[Rollout], split: LogSplit) -> dict[float, StageGap]:
-    """Errors of angles in closed loop over longer windows, as long as the runs last."""
+    """Errors of the angle in closed loop over the horizons that the runs are long enough for."""
     result = {}
     for length in HORIZONS:
         long = [log for log in logs if log.duration >= length + ROOM]
@@ -215,40 +215,43 @@ def _horizons(models: Sequence[RobotModel], logs: Sequence[Rollout], split: LogS
             long, windows=max(1, min(PER_LOG, int(2.0 / length))) * len(long), length=length, closed=True
         )
         errors = np.stack([_errors(engine, model)[..., 0] for model in models])
-        square = np.square(np.clip(errors, -FARTHEST["position"], FARTHEST["position"]))[..., engine.known[:, 0]]
-        moved = engine.measured[..., 0] - engine.measured[:, :1, :, 0]
+        limit = LARGEST_ERROR["position"]
+        square = np.square(np.clip(errors, -limit, limit))[..., engine.known[:, 0]]
+        motion = engine.measured[..., 0] - engine.measured[:, :1, :, 0]
         floors = _floors(split, engine.ticks).get("position", {})
         floor = float(np.sqrt(np.mean(np.square(list(floors.values()))))) if floors else None
-        result[length] = _stage("rad", square.mean((1, 2, 3)), floor, float(np.square(moved).mean()))
+        result[length] = _gap("rad", square.mean((1, 2, 3)), floor, float(np.square(motion).mean()))
     return result
 
 
 def gap_table(gaps: WindowGaps) -> str:
-    """Errors in three stages as lines of text: by channel, joint and horizon."""
+    """Errors in three stages as lines of text, by channel, joint and horizon."""
     head = "".join(f"{name:>10}" for name in (*STAGES, "repeats"))
     lines = [f"{f'RMS error, {gaps.length:.2g} s windows':24}{head}"]
 
-    def line(label: str, one: StageGap) -> str:
-        values = (one.given, one.baseline, one.returned, one.floor)
+    def line(label: str, gap: StageGap) -> str:
+        values = (gap.given, gap.baseline, gap.returned, gap.floor)
         cells = "".join(f"{'-' if value is None else format(1e3 * value, '.2f'):>10}" for value in values)
-        return f"{label:24}{cells}  m{one.unit}"
+        return f"{label:24}{cells}  m{gap.unit}"
 
-    lines += [line(name, one) for name, one in gaps.whole.items()]
-    lines += [line(f"  position {joint}", of["position"]) for joint, of in gaps.joints.items()]
-    lines += [line(f"position, {length:g} s windows", one) for length, one in gaps.horizons.items()]
+    lines += [line(name, gap) for name, gap in gaps.whole.items()]
+    lines += [line(f"  position {joint}", channels["position"]) for joint, channels in gaps.joints.items()]
+    lines += [line(f"position, {length:g} s windows", gap) for length, gap in gaps.horizons.items()]
     return "\n".join(lines)
 
 
 def plain_gaps(gaps: WindowGaps) -> dict[str, Any]:
-    """The content of ``verdict.yaml``: errors in SI units, and as shares of what is predicted [%]."""
+    """The content of ``verdict.yaml``: errors in SI units and relative to the signal [%]."""
 
-    def entry(one: StageGap) -> dict[str, Any]:
-        return vars(one) | {"percent": one.percent}
+    def entry(gap: StageGap) -> dict[str, Any]:
+        return vars(gap) | {"percent": gap.percent}
 
     return {
         "length": gaps.length,
         "runs": gaps.runs,
-        "joints": {joint: {name: entry(one) for name, one in of.items()} for joint, of in gaps.joints.items()},
-        "whole": {name: entry(one) for name, one in gaps.whole.items()},
-        "horizons": {f"{1e3 * length:g} ms": entry(one) for length, one in gaps.horizons.items()},
+        "joints": {
+            joint: {name: entry(gap) for name, gap in channels.items()} for joint, channels in gaps.joints.items()
+        },
+        "whole": {name: entry(gap) for name, gap in gaps.whole.items()},
+        "horizons": {f"{1e3 * length:g} ms": entry(gap) for length, gap in gaps.horizons.items()},
     }

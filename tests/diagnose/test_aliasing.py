@@ -3,7 +3,7 @@
 import pytest
 
 from op3.diagnose import Diagnosis, Settings, aliasing, split_logs
-from op3.diagnose.aliasing import ALIKE, VISIBLE
+from op3.diagnose.aliasing import SIMILAR, VISIBLE
 from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
 from op3.servo import effect_class
@@ -35,7 +35,7 @@ def test_pairs_that_look_alike_come_with_what_separates_them(told):
     sizes = [abs(pair["cosine"]) for pair in pairs]
     assert 0 < len(pairs) <= 10
     assert sizes == sorted(sizes, reverse=True)
-    assert min(sizes) >= ALIKE - 1e-3
+    assert min(sizes) >= SIMILAR - 1e-3
     for pair in pairs:
         for label in pair["effects"]:
             assert effect_class(label.partition("@")[0]).separating_experiment in pair["separate_by"]

@@ -5,8 +5,8 @@ from math import pi, remainder
 import numpy as np
 import pytest
 
-from op3.diagnose.base import settle
-from op3.diagnose.candidates import candidates, mirror_pairs, place_priors, secants_of_place
+from op3.diagnose.base import gauss_newton
+from op3.diagnose.candidates import candidates, log_priors, mirror_pairs, secant_counts
 from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_chain
 from op3.diagnose.judge_settings import SETTINGS
 from op3.diagnose.reduction import Reduction
@@ -57,7 +57,7 @@ def test_a_neutral_secant_is_a_column_of_zeros(reduction):
         assert (one.effect.name in model.effect_names) <= all(
             parameter(name).neutral is not None for name in one.secant
         )
-        error = reduction.engine.errors(one.model, one.moved(start, share=0.0))
+        error = reduction.engine.errors(one.model, one.applied(start, share=0.0))
         if not one.model.stiff:  # elastic elements are started from the data, and begin as they would end
             np.testing.assert_array_equal(error, sound)
 
@@ -66,12 +66,12 @@ def test_columns_stay_in_the_limb(reduction):
     """A change in one joint moves that joint's column most; one of all joints is the sum of theirs to a tenth."""
     model = with_chain(load_model("paper"))
     coordinates = base_coordinates(model, LEG_JOINTS)
-    linear = settle(reduction, coordinates, coordinates.start, steps=0).linear
+    linear = gauss_newton(reduction, coordinates, coordinates.start, steps=0).linear
     found = [c for c in candidates(model, LEG_JOINTS, EVERY, {}) if c.effect.name == "quadratic_drag"]
     columns = {one.joints: column for one, column in zip(found, reduction.columns(linear, found), strict=True)}
     knee = LEG_JOINTS.index("r_knee")
     own = np.square(columns[(knee,)]).sum((1, 2))
-    assert own.argmax() == list(reduction.judged).index(knee)
+    assert own.argmax() == list(reduction.joint_indices).index(knee)
     whole = columns.pop(None)
     assert np.square(sum(columns.values()) - whole).sum() < 0.1 * np.square(whole).sum()
 
@@ -84,7 +84,7 @@ def test_pairs_are_sums_of_their_joints():
     pairs = [one for one in found if one.scope == "pair"]
     assert pairs
     for pair in pairs:
-        parts = [by_key[key] for key in pair.parts]
+        parts = [by_key[key] for key in pair.components]
         assert [part.joints for part in parts] == [(j,) for j in pair.joints or ()]
         first, second = (part.secant for part in parts)
         for name in pair.secant:
@@ -100,7 +100,7 @@ def test_pairs_are_sums_of_their_joints():
 def test_places_and_secants_share_one_prior():
     """All hypotheses of a scope together have the scope's prior, for laws of one number."""
     found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
-    priors = np.exp(place_priors(found)) / secants_of_place(found)
+    priors = np.exp(log_priors(found)) / secant_counts(found)
     for name in ("quadratic_drag", "cable_spring"):
         mine = [i for i, one in enumerate(found) if one.effect.name == name and one.scope == "joint"]
         extra = 0.5 ** (sum(p.neutral is not None for p in catalogue()[name].parameters) - 1)
@@ -111,7 +111,7 @@ def test_plausible_sizes_stay_within_physics():
     """Losses are not negative, efficiencies not above one, and a slab has room within its ends."""
     base = with_chain(load_model("paper_without_dte"))
     for one in candidates(base, LEG_JOINTS, EVERY, {}):
-        low, high, slab = one.reach(base, SETTINGS)
+        low, high, slab = one.size_range(base, SETTINGS)
         assert low <= 0.0 <= high
         assert slab > 0
         if one.effect.name == "dte":

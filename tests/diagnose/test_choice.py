@@ -8,20 +8,29 @@ import numpy as np
 import pytest
 import yaml
 
-from op3.diagnose.base import Baseline, End, as_usual, damped, gap_of, settle, settled, unfitted
+from op3.diagnose.base import (
+    Baseline,
+    LocalOptimum,
+    damped_steps,
+    evidence_gain,
+    gauss_newton,
+    refitted_in_bounds,
+    unfitted,
+    within_sound_spread,
+)
 from op3.diagnose.candidates import candidates
-from op3.diagnose.coordinates import any_spread, base_coordinates, other_forms, with_chain, with_own_spread
-from op3.diagnose.doubts import doubts, freed, unusual
-from op3.diagnose.findings import Search, chosen
-from op3.diagnose.held_out import Gain, HeldOutScore
-from op3.diagnose.judge import Numbers, Posterior, Variances
+from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_robot_spread, with_student_spread
+from op3.diagnose.doubts import chain_deviations, doubts, free_and_expected
+from op3.diagnose.findings import Search
+from op3.diagnose.held_out import Gain
+from op3.diagnose.judge import CoefficientPriors, Posterior, Variances
 from op3.diagnose.judge_settings import Settings
-from op3.diagnose.naming import Judged, Named
-from op3.diagnose.reduction import Linear, Reduction
+from op3.diagnose.naming import NamedEffect, ScoredRefit, best_refit
+from op3.diagnose.reduction import Linearisation, Reduction
 from op3.diagnose.relevance import Relevance
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit
-from op3.diagnose.starts import apart, search, with_best_gear
+from op3.diagnose.starts import search, with_best_gear, with_servo_factors
 from op3.diagnose.verdict import Alternative, Finding, JointGap, Verdict
 from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
@@ -84,7 +93,7 @@ def test_servos_with_numbers_of_their_own_keep_one_in_common():
         assert [coordinates.entries[i].joints for i in mine] == [None, *((j,) for j in range(len(LEG_JOINTS)))]
         point = coordinates.start.copy()
         point[mine[1:]] = 0.1
-        _, moved = with_own_spread(coordinates, point, np.full(len(point), 0.005), Settings())
+        _, moved = with_robot_spread(coordinates, point, np.full(len(point), 0.005), Settings())
         assert moved[mine] == pytest.approx([0.1, *np.zeros(len(LEG_JOINTS))])
         before, after = (coordinates.values(one[None])[name] for one in (point, moved))
         assert after.numpy() == pytest.approx(before.numpy())
@@ -98,12 +107,12 @@ def test_a_number_at_its_bound_is_a_doubt_where_logs_exercise_it():
     point[at] = coordinates.high[at]
     point[[entry.parameter for entry in coordinates.entries].index("viscous_friction")] = 0.0
     columns, certain = np.ones((len(point), 1, 1, 1)), SimpleNamespace(covariance=np.zeros((len(point), len(point))))
-    base = Baseline(Linear(coordinates, point, (), (), np.zeros(0), columns), certain)  # type: ignore[arg-type]
+    base = Baseline(Linearisation(coordinates, point, (), (), np.zeros(0), columns), certain)  # type: ignore[arg-type]
     (doubt,) = doubts(base)
     assert doubt.startswith("torque constant hit its upper bound")
     other = point.copy()
     other[at] = coordinates.low[at]
-    twice = Baseline(base.linear, certain, (End(coordinates, other, -3.0),))  # type: ignore[arg-type]
+    twice = Baseline(base.linear, certain, (LocalOptimum(coordinates, other, -3.0),))  # type: ignore[arg-type]
     assert "with other torque_constant" in doubts(twice)[1]
     prior = SimpleNamespace(covariance=np.diag(coordinates.deviation**2))
     assert doubts(Baseline(base.linear, prior)) == ()  # type: ignore[arg-type]
@@ -111,10 +120,10 @@ def test_a_number_at_its_bound_is_a_doubt_where_logs_exercise_it():
 
 def test_a_number_at_its_end_holds_back_no_other():
     """Of two numbers, one at its smallest value and pulled down: the other goes where it is best alone, 3 / 2."""
-    numbers = Numbers(np.zeros(2), np.ones(2), least=np.array([0.0, -9.0]), most=np.array([9.0, 9.0]))
+    numbers = CoefficientPriors(np.zeros(2), np.ones(2), lower=np.array([0.0, -9.0]), upper=np.array([9.0, 9.0]))
     precision, pull = np.array([[2.0, 1.9], [1.9, 2.0]]), np.array([-1.0, 3.0])
     fit = Posterior(np.linalg.solve(precision, pull), precision, 0.0, (), Variances(*np.zeros((3, 1))))
-    assert damped(fit, numbers)[0] == pytest.approx([0.0, 1.5])
+    assert damped_steps(fit, numbers)[0] == pytest.approx([0.0, 1.5])
 
 
 def test_the_size_of_a_gap_is_found_from_less_than_half_of_it():
@@ -126,12 +135,12 @@ def test_the_size_of_a_gap_is_found_from_less_than_half_of_it():
     reduction = Reduction(WindowResiduals(planned_suite(loose, runs), windows=18))
     base, joints = unfitted(reduction, sound), reduction.engine.joints
     place = "backlash", (joints.index("r_knee"),)
-    one = next(each for each in candidates(base.model, joints, reduction.moving, {}) if each.place == place)
-    own = one.coordinates(base.model, base.coordinates.entries, 0.003 / one.secant[one.sized], Settings())
+    one = next(each for each in candidates(base.model, joints, reduction.moving, {}) if each.hypothesis == place)
+    own = one.coordinates(base.model, base.coordinates.entries, 0.003 / one.secant[one.size_parameter], Settings())
     coordinates = base.coordinates.extended(one.switched_on(base.model, joints), own)
     start = np.concatenate([base.point, coordinates.start[len(base.point) :]])
     assert start[len(base.point)] == pytest.approx(0.003)
-    end = settle(reduction, coordinates, start, steps=2, like=base.linear)
+    end = gauss_newton(reduction, coordinates, start, steps=2, reference=base.linear)
     assert end.point[len(base.point)] == pytest.approx(0.008, abs=0.001)
 
 
@@ -143,10 +152,10 @@ def test_servos_differ_as_most_of_the_robot_do():
     named = [(entry.parameter, entry.kind) for entry in coordinates.entries]
     own = [i for i, name in enumerate(named) if name == ("coulomb_friction", "scale")]
     point[own] = [-0.08, -0.12, -0.09, -0.11, -0.1, 0.45]
-    spread, moved = with_own_spread(coordinates, point, np.full(len(point), 0.005), Settings())
+    spread, moved = with_robot_spread(coordinates, point, np.full(len(point), 0.005), Settings())
     assert spread.entries[own[0]].deviation < 0.05
     assert np.abs(moved[own[:5]]).max() < 0.03
-    unidentifiable, _ = with_own_spread(coordinates, coordinates.start, coordinates.deviation, Settings())
+    unidentifiable, _ = with_robot_spread(coordinates, coordinates.start, coordinates.deviation, Settings())
     assert unidentifiable.entries[own[0]].deviation == pytest.approx(coordinates.entries[own[0]].deviation)
     before, after = (coordinates.values(one[None])["coulomb_friction"] for one in (point, moved))
     assert after.numpy() == pytest.approx(before.numpy())
@@ -155,8 +164,8 @@ def test_servos_differ_as_most_of_the_robot_do():
 def test_a_servo_far_from_the_others_is_pulled_back_little():
     """Student's prior of 4 degrees of freedom, 20 standard deviations out, pulls like a normal one that is
     sqrt((4 + 400) / 5) times as wide; where it is expected like one a little narrower."""
-    coordinates = any_spread(base_coordinates(with_chain(load_model("paper")), LEG_JOINTS), 4.0)
-    i = next(i for i, entry in enumerate(coordinates.entries) if entry.of_servo)
+    coordinates = with_student_spread(base_coordinates(with_chain(load_model("paper")), LEG_JOINTS), 4.0)
+    i = next(i for i, entry in enumerate(coordinates.entries) if entry.per_servo)
     point, step = coordinates.prior.copy(), 1e-5
     assert coordinates.deviation_at(point)[i] == pytest.approx(coordinates.deviation[i] * np.sqrt(0.8))
     point[i] = 20 * coordinates.deviation[i]
@@ -175,10 +184,10 @@ def test_one_bad_servo_does_not_move_what_all_share(truth):
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
     reduction = Reduction(WindowResiduals(planned_suite(bad, runs), windows=24))
     usual = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
-    free = any_spread(usual, 4.0)
-    base = settle(reduction, free, apart(reduction, free, usual.start))
-    base = settle(reduction, *with_own_spread(free, base.point, base.deviations, Settings()))
-    sound = as_usual(reduction, base)
+    free = with_student_spread(usual, 4.0)
+    base = gauss_newton(reduction, free, with_servo_factors(reduction, free, usual.start))
+    base = gauss_newton(reduction, *with_robot_spread(free, base.point, base.deviations, Settings()))
+    sound = within_sound_spread(reduction, base)
     friction = {"free": base, "sound": sound}
     found = {name: one.coordinates.values(one.point[None])["coulomb_friction"][0] for name, one in friction.items()}
     knee = LEG_JOINTS.index("r_knee")
@@ -187,9 +196,9 @@ def test_one_bad_servo_does_not_move_what_all_share(truth):
     assert found["sound"][others].numpy() == pytest.approx(0.1, rel=0.15)
     assert found["sound"][knee] < 0.16
     # all else follows what was taken back: fitted anew the base explains the logs better, still within its ranges
-    followed = settled(reduction, sound)
-    assert not followed.taken_back.any()
-    assert gap_of(reduction, settle(reduction, sound.coordinates, sound.point, steps=0), followed) > 10.0
+    followed = refitted_in_bounds(reduction, sound)
+    assert not followed.clipped.any()
+    assert evidence_gain(reduction, gauss_newton(reduction, sound.coordinates, sound.point, steps=0), followed) > 10.0
 
 
 def test_the_search_finds_a_basin(logs):
@@ -198,7 +207,7 @@ def test_the_search_finds_a_basin(logs):
     far = with_chain(load_model("paper").with_values({"coulomb_friction": 0.02, "torque_constant": 0.0075}))
     coordinates = base_coordinates(far, LEG_JOINTS, reduction.moving)
     found, point = search(reduction, coordinates, np.random.default_rng(0), [far, *other_forms(far)])
-    errors = [reduction.at(one, at[None]) for one, at in ((coordinates, coordinates.start), (found, point))]
+    errors = [reduction.errors_at(one, at[None]) for one, at in ((coordinates, coordinates.start), (found, point))]
     before, after = (np.log1p(np.square(np.concatenate(error, -1)).mean(2)).sum() for error in errors)
     assert after < 0.67 * before
 
@@ -208,10 +217,10 @@ def test_two_ends_of_a_base_are_compared_without_favour(truth, logs):
     reduction = Reduction(WindowResiduals(logs, windows=8))
     coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
     known = base_coordinates(with_chain(truth), LEG_JOINTS, reduction.moving).start
-    right, wrong = (settle(reduction, coordinates, point, steps=0) for point in (known, coordinates.start))
-    worse = gap_of(reduction, wrong, right)
+    right, wrong = (gauss_newton(reduction, coordinates, point, steps=0) for point in (known, coordinates.start))
+    worse = evidence_gain(reduction, wrong, right)
     assert worse > 100.0
-    assert gap_of(reduction, right, wrong) == pytest.approx(-worse)
+    assert evidence_gain(reduction, right, wrong) == pytest.approx(-worse)
 
 
 GAIN = Gain(2.0, 0.6, 3.2, 12)
@@ -258,15 +267,15 @@ def test_a_delay_is_unusual_of_a_model_that_has_none(truth):
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
     reduction = Reduction(WindowResiduals(planned_suite(late, runs), windows=24))
     base = unfitted(reduction, late)
-    base = settle(reduction, base.coordinates, base.point)
+    base = gauss_newton(reduction, base.coordinates, base.point)
     for given, told in (("paper", []), ("paper_without_latency", ["command_latency"])):
-        found = unusual(load_model(given), base)
+        found = chain_deviations(load_model(given), base)
         far = [one for one in found if one.log_odds > 6]
-        assert [base.coordinates.entries[one.number].parameter for one in far] == told
+        assert [base.coordinates.entries[one.index].parameter for one in far] == told
         for one in far:
-            free, usual = freed(reduction, base, one.number, one.held)
-            assert gap_of(reduction, usual, free) / 2 > 6
-            assert usual.point[one.number] < 0.006 < free.point[one.number]
+            free, usual = free_and_expected(reduction, base, one.index, one.expected)
+            assert evidence_gain(reduction, usual, free) / 2 > 6
+            assert usual.point[one.index] < 0.006 < free.point[one.index]
 
 
 @pytest.mark.slow
@@ -278,18 +287,18 @@ def test_what_all_joints_share_is_told_though_the_base_takes_its_place():
     reduction = Reduction(WindowResiduals(planned_suite(truth, runs), windows=24))
     base = unfitted(reduction, load_model("paper"))
     search_ = Search(reduction)
-    first = search_.first(settle(reduction, base.coordinates, base.point))
+    first = search_.first(gauss_newton(reduction, base.coordinates, base.point))
     odds = first.judge.scores(first.fit)
-    mine = [i for i, one in enumerate(first.found) if one.place == ("load_friction", None)]
+    mine = [i for i, one in enumerate(first.candidates) if one.hypothesis == ("load_friction", None)]
     assert odds[mine].max() < 6 < odds.max()
-    assert first.found[search_.shared(first)[0].number].place == ("load_friction", None)
+    assert first.candidates[search_.shared(first)[0].index].hypothesis == ("load_friction", None)
     further = search_.further(first)
     assert further is not None
-    assert [one.candidate.place for one in further.named] == [("load_friction", None)]
+    assert [one.candidate.hypothesis for one in further.named] == [("load_friction", None)]
     assert further.base.point[-1] == pytest.approx(0.1, rel=0.3)
     assert further.named[0].log_odds > 20
-    dropped = search_._less(further, (), 0)
-    assert ("load_friction", None) in {one.place for one in search_._candidates(dropped)}
+    dropped = search_._without_others(further, (), 0)
+    assert ("load_friction", None) in {one.hypothesis for one in search_._candidates(dropped)}
 
 
 def test_in_a_bad_joint_effects_are_proposed_by_what_they_predict(truth, monkeypatch):
@@ -306,19 +315,19 @@ def test_in_a_bad_joint_effects_are_proposed_by_what_they_predict(truth, monkeyp
     proposed = {}
     for name, point in (("sound", base.linear.point), ("bad", outside)):
         at = dataclasses.replace(base, linear=dataclasses.replace(base.linear, point=point))
-        stage: Any = SimpleNamespace(base=at, found=search_._candidates(at), fit=at.fit)
-        proposed[name] = [stage.found[one.number] for one in search_.in_bad_joints(stage)]
+        stage: Any = SimpleNamespace(base=at, candidates=search_._candidates(at), fit=at.fit)
+        proposed[name] = [stage.candidates[one.index] for one in search_.in_clipped_joints(stage)]
     assert proposed["sound"] == []
     assert {one.joints for one in proposed["bad"]} == {knee}
     assert proposed["bad"][0].effect.name == "coulomb"
 
 
-def refit(name: str, density: list[list[float]], log_odds: float) -> Judged:
+def refit(name: str, density: list[list[float]], log_odds: float) -> ScoredRefit:
     """A refit with held-out log densities ``[run, joint]``, over a model without it whose densities are 0."""
-    score, zero = HeldOutScore(np.array(density)), HeldOutScore(np.zeros((4, 2)))
+    scores, zero = np.array(density), np.zeros((4, 2))
     candidate: Any = SimpleNamespace(effect=SimpleNamespace(name=name))
-    named = Named(candidate, (), log_odds, Gain.of(score, zero), Relevance({}, 0.0, 0.0, True))
-    return Judged(named, cast(Any, None), score)
+    named = NamedEffect(candidate, (), log_odds, Gain.of(scores, zero), Relevance({}, 0.0, 0.0, True))
+    return ScoredRefit(named, cast(Any, None), scores)
 
 
 def test_among_refits_that_gain_alike_the_most_evident_is_named():
@@ -328,9 +337,9 @@ def test_among_refits_that_gain_alike_the_most_evident_is_named():
     evident = refit("backlash", [[3.2, 0.0], [4.6, 0.0], [3.2, 0.0], [4.6, 0.0]], 40.0)
     elsewhere = refit("coulomb", [[0.0, 3.0], [0.0, 5.0], [0.0, 3.0], [0.0, 4.9]], 90.0)
     poor = refit("stribeck", [[1.0, 0.0], [2.0, 0.0], [1.0, 0.0], [2.0, 0.0]], 95.0)
-    best, rivals = chosen([largest, evident, elsewhere, poor], HeldOutScore(np.zeros((4, 2))), threshold=2.0)
+    best, rivals = best_refit([largest, evident, elsewhere, poor], np.zeros((4, 2)), threshold=2.0)
     assert best is evident
-    assert [rival.candidate for rival in rivals] == [largest.named.candidate]
+    assert [rival.candidate for rival in rivals] == [largest.effect.candidate]
 
 
 @pytest.mark.slow
@@ -343,9 +352,9 @@ def test_a_law_of_the_gear_is_tried_again_once_all_else_is_fitted():
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:2]
     reduction = Reduction(WindowResiduals(planned_suite(truth, runs), windows=24))
     coordinates = base_coordinates(with_chain(model), LEG_JOINTS, reduction.moving)
-    base = settle(reduction, coordinates, coordinates.start)
+    base = gauss_newton(reduction, coordinates, coordinates.start)
     thin = reduction.thinned(12)
-    better, ends = with_best_gear(reduction, thin, base, [], Settings())
+    better, ends = with_best_gear(reduction, thin, base, [])
     assert repr(better.coordinates.model.effect("dte")) == repr(truth.effect("dte"))
     assert ends[0].gain > 10.0
-    assert with_best_gear(reduction, thin, better, [], Settings()) == (better, [])
+    assert with_best_gear(reduction, thin, better, []) == (better, [])

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from op3.diagnose import WindowResiduals
-from op3.diagnose.base import settle
+from op3.diagnose.base import gauss_newton
 from op3.diagnose.coordinates import base_coordinates, with_chain
-from op3.diagnose.held_out import DRAWS, Gain, HeldOut, HeldOutScore, log_density
+from op3.diagnose.held_out import DRAWS, Gain, HeldOut, log_density
 from op3.diagnose.reduction import Reduction
 from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
@@ -18,7 +18,7 @@ from tests.op3_table import LEG_JOINTS
 def test_a_gain_is_counted_in_standard_errors_over_runs():
     """Gains of 1, 2 and 3: 2 with an error of 1 / sqrt(3), Student's t of 3.46 with two degrees of freedom, of which a
     tail of 3.7 % is left, as of a normal behind 1.79."""
-    better, other = HeldOutScore(np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 3.0]])), HeldOutScore(np.zeros((3, 2)))
+    better, other = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 3.0]]), np.zeros((3, 2))
     gain = Gain.of(better, other)
     assert (gain.mean, gain.error, gain.runs) == (pytest.approx(2.0), pytest.approx(3**-0.5), 3)
     assert gain.z == pytest.approx(1.786, abs=0.01)
@@ -64,9 +64,9 @@ def test_the_numbers_that_made_the_logs_predict_runs_that_were_left_out(reductio
     at = [(entry.parameter, entry.joints) for entry in coordinates.entries].index(("coulomb_friction", None))
     wrong = np.where(np.arange(len(coordinates.start)) == at, 0.3, coordinates.start)
     right = np.where(np.arange(len(coordinates.start)) == at, 0.2, coordinates.start)
-    bases = [settle(reduction, coordinates, point, steps=0) for point in (right, wrong)]
+    bases = [gauss_newton(reduction, coordinates, point, steps=0) for point in (right, wrong)]
     rows = reduction.rows(bases[0].linear, ())
-    gain = Gain.of(*(held.score(base, rows) for base in bases))
+    gain = Gain.of(*(held.density(base, rows) for base in bases))
     assert gain.z > 2.0
 
 
@@ -82,12 +82,12 @@ def test_predictions_are_averaged_over_numbers_drawn_from_their_posterior(reduct
     """Densities, not their logarithms: of four sets of numbers the unlikely ones cost at most log 4. The sets other
     than the mean lie as far from it as their posterior says: the mean square of whitened steps is their number."""
     coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
-    base = settle(reduction, coordinates, coordinates.start, steps=0)
-    rows, held, at, drawn = reduction.rows(base.linear, ()), HeldOut(reduction), reduction.at, []
-    monkeypatch.setattr(reduction, "at", lambda own, points: drawn.append(points) or at(own, points))
+    base = gauss_newton(reduction, coordinates, coordinates.start, steps=0)
+    rows, held, at, drawn = reduction.rows(base.linear, ()), HeldOut(reduction), reduction.errors_at, []
+    monkeypatch.setattr(reduction, "errors_at", lambda own, points: drawn.append(points) or at(own, points))
     densities = iter(np.tile([-1.0, -90.0, -90.0, -90.0], 10_000).tolist())
     monkeypatch.setattr("op3.diagnose.held_out.log_density", lambda *args: next(densities))
-    assert held.score(base, rows).density == pytest.approx(-1.0 - np.log(4))
+    assert held.density(base, rows) == pytest.approx(-1.0 - np.log(4))
     points = drawn[0].reshape(-1, DRAWS + 1, len(base.point))
     free = (points[:, 0] > coordinates.low + 1e-3) & (points[:, 0] < coordinates.high - 1e-3)
     steps = (points[:, 1:] - points[:, :1]) / base.deviations

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from op3.diagnose.judge import Judge, Numbers, Rows, evidence
+from op3.diagnose.judge import CoefficientPriors, Judge, Rows, evidence
 from op3.diagnose.judge_settings import Settings
 
 KINDS = np.array([0, 1, 1, 1, 2, 3, 3, 3])
@@ -54,14 +54,14 @@ def made(rng, sizes=(), wild=0.0, law=0.15, missing=None) -> Judge:
         tuple(columns[j, at] for j, at in enumerate(kept)),
     )
     place = np.log(0.5 / np.where(np.arange(CANDIDATES) == 0, 1, CANDIDATES - 1))
-    numbers = Numbers(
+    numbers = CoefficientPriors(
         np.zeros(2 + CANDIDATES),
         np.where(np.arange(2 + CANDIDATES) < 2, 3.0, SPIKE),
         tuple((2 + k,) for k in range(CANDIDATES)),
         *(np.full(CANDIDATES, value) for value in (SLAB, -8.0, 8.0)),
         place,
     )
-    return Judge(rows, numbers, Settings(law=law))
+    return Judge(rows, numbers, Settings(unmodelled=law))
 
 
 def scores(judge: Judge) -> np.ndarray:
@@ -103,7 +103,7 @@ def test_stated_odds_are_those_of_the_prior():
         fit = judge.fit(np.flatnonzero(slab), rounds=4)
         for k in range(CANDIDATES):
             named = [i for i in np.flatnonzero(slab) if i != k]
-            odds = judge.scores(judge.fit(named, fit.state, rounds=0))[k] - judge.numbers.place[k]
+            odds = judge.scores(judge.fit(named, fit.variances, rounds=0))[k] - judge.priors.log_prior[k]
             told.append(1 / (1 + np.exp(-np.clip(odds + np.log(0.15 / 0.85), -50, 50))))
             truth.append(slab[k])
     told, truth = np.array(told), np.array(truth)
@@ -117,42 +117,42 @@ def test_what_no_candidate_explains_is_nobodys_finding():
     judge = made(np.random.default_rng(2), law=1.0)
     fit = judge.fit(rounds=6)
     assert judge.scores(fit).max() < Settings().alarm
-    assert fit.state.law.min() > 0.5
+    assert fit.variances.unmodelled.min() > 0.5
 
 
 def test_wild_windows_hide_nothing_and_name_nothing():
     """A tenth of the windows with ten times the noise: they are weighed down, and the effect is found as without."""
     judge = made(np.random.default_rng(7), {3: 2.0}, wild=0.1)
     fit = judge.fit(rounds=6)
-    assert fit.state.weight.min() < 0.1
+    assert fit.variances.weight.min() < 0.1
     assert judge.scores(fit).argmax() == 3
-    assert judge.fit([3], fit.state).mean[-1] == pytest.approx(2.0, abs=0.4)
+    assert judge.fit([3], fit.variances).mean[-1] == pytest.approx(2.0, abs=0.4)
 
 
 def test_what_a_base_explains_only_beyond_its_range_is_a_fault():
     """A candidate that does what a number of the base does is told from it where that would leave its range, and its
     score is then what a fit with it says."""
     free = made(np.random.default_rng(4))
-    for values in free.rows.values:
+    for values in free.rows.design:
         values[2] = values[0]
     most = np.full(2 + CANDIDATES, np.inf)
     most[0] = free.fit(rounds=4).mean[0] - 1.0
-    bounded = Judge(free.rows, replace(free.numbers, most=most), free.settings)
+    bounded = Judge(free.rows, replace(free.priors, upper=most), free.settings)
     fit = bounded.fit(rounds=4)
     odds = bounded.scores(fit)
     assert odds.argmax() == 0
     assert odds[0] > scores(free)[0] + 6.0
-    with_it, without = (bounded.fit(named, fit.state, rounds=0).evidence for named in ([0], []))
-    assert odds[0] == pytest.approx(with_it - without + bounded.numbers.place[0], abs=0.3)
+    with_it, without = (bounded.fit(named, fit.variances, rounds=0).evidence for named in ([0], []))
+    assert odds[0] == pytest.approx(with_it - without + bounded.priors.log_prior[0], abs=0.3)
 
 
 def test_windows_on_the_edge_of_sticking_count_less():
     """Rows of large known variance move no number, however far off they are."""
     judge = made(np.random.default_rng(9), {2: 2.0})
     edge = np.random.default_rng(0).random((JOINTS, WINDOWS)) < 0.2
-    judge.rows.measured[edge] += 30.0
+    judge.rows.residual[edge] += 30.0
     judge.rows.variance[edge] = 900.0
-    again = Judge(judge.rows, judge.numbers, judge.settings)
+    again = Judge(judge.rows, judge.priors, judge.settings)
     fit = again.fit([2], rounds=4)
     assert again.scores(again.fit(rounds=4)).argmax() == 2
     assert fit.mean[-1] == pytest.approx(2.0, abs=0.4)
@@ -161,13 +161,12 @@ def test_windows_on_the_edge_of_sticking_count_less():
 def test_twins_share_what_they_explain():
     """Two candidates with one column cannot both be told: their scores are the same, and only together decisive."""
     judge = made(np.random.default_rng(4), {1: 2.0})
-    values = [value.copy() for value in judge.rows.values]
+    values = [value.copy() for value in judge.rows.design]
     rows = judge.rows
-    for j, at in enumerate(rows.columns):
+    for j, at in enumerate(rows.coefficients):
         if 3 in at and 7 in at:
             values[j][list(at).index(7)] = values[j][list(at).index(3)]
-    twin = Judge(Rows(*(getattr(rows, f) for f in ("joints", "kinds", "measured", "variance", "features", "columns")),
-                      tuple(values)), judge.numbers, judge.settings)  # fmt: skip
+    twin = Judge(replace(rows, design=tuple(values)), judge.priors, judge.settings)
     found = scores(twin)
     assert found[1] == pytest.approx(found[5], abs=0.5)
     assert found[[1, 5]].min() > np.delete(found, [1, 5]).max()
@@ -176,7 +175,9 @@ def test_twins_share_what_they_explain():
 def test_a_pair_is_told_from_its_halves():
     """What two joints have alike is more probable as one effect of both than as one of either."""
     judge = made(np.random.default_rng(11), {1: 1.5, 2: 1.5})
-    n = judge.numbers
-    longer = {name: np.append(getattr(n, name), getattr(n, name)[1]) for name in ("slab", "low", "high", "place")}
-    found = scores(Judge(judge.rows, Numbers(n.mean, n.deviation, (*n.members, (3, 4)), **longer), judge.settings))
+    n = judge.priors
+    longer = {name: np.append(getattr(n, name), getattr(n, name)[1]) for name in ("slab", "low", "high", "log_prior")}
+    found = scores(
+        Judge(judge.rows, CoefficientPriors(n.mean, n.deviation, (*n.members, (3, 4)), **longer), judge.settings)
+    )
     assert found.argmax() == CANDIDATES

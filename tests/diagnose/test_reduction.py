@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from op3.diagnose import WindowResiduals
 from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.judge_settings import FLOORS, PIECES
-from op3.diagnose.rates import RATES, filtered, moved, read
 from op3.diagnose.reduction import Reduction
+from op3.diagnose.responses import RATES, filter_matrix, filtered_rate_weights, velocity_weights
 from op3.motions import chirp, leg_suite
 from op3.replay import simulate_motion
 from op3.replay.planned import planned_suite
@@ -41,7 +41,7 @@ def test_whatever_a_joint_does_its_filtered_velocity_is_the_filtered_rate_of_its
         slope += step * (rate - told - slope) / (shape * lag)
         told += step * slope / lag
         velocity.append(told)
-    reading, moving = read(ticks), moved(filtered(lag, shape, ticks, period), period)
+    reading, moving = velocity_weights(ticks), filtered_rate_weights(filter_matrix(lag, shape, ticks, period), period)
     assert reading.shape == moving.shape == (RATES, ticks + 1)
     ends = np.rint(np.linspace(0, ticks, PIECES + 1)).astype(int)[1:] * fine
     means = [np.mean(velocity[begin:end]) for begin, end in pairwise(ends)]
@@ -66,7 +66,7 @@ def test_a_filter_of_readings_is_that_of_the_servo_law(lag, shape):
         law.sense()
         told.append(signals.measured_velocity.item())
         law.step()
-    np.testing.assert_allclose(filtered(lag, shape, 25, 0.008) @ velocity, told[::fine], atol=1e-5)
+    np.testing.assert_allclose(filter_matrix(lag, shape, 25, 0.008) @ velocity, told[::fine], atol=1e-5)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.012])
@@ -95,7 +95,7 @@ def test_rates_show_an_encoder_that_bends_and_no_friction(lag):
         return np.stack([np.sqrt(np.square(off[..., reduction.kinds == kind]).mean((1, 2))) for kind in range(6)], 1)
 
     knee = LEG_JOINTS.index("r_knee")
-    judged = list(reduction.judged).index(knee)
+    judged = list(reduction.joint_indices).index(knee)
     bends = change(sound.with_values({"encoder_nonlinearity": Estimate(0.0, joints={"r_knee": 0.05})}))
     rubs = change(sound.with_values({"coulomb_friction": 1.5 * sound.value("coulomb_friction")}))
     assert bends[judged, 4] > 1.0
@@ -123,7 +123,7 @@ def test_a_limb_that_moves_alone_is_simulated_alone():
     engine = WindowResiduals([log], windows=4)
     reduction = Reduction(engine)
     (error,) = reduction.errors(model, model.tensors(engine.joints), 1)
-    assert [engine.joints[joint] for joint in reduction.judged] == [
+    assert [engine.joints[joint] for joint in reduction.joint_indices] == [
         joint.replace("r_", "l_", 1) for joint in LEG_JOINTS
     ]
     assert np.isfinite(error).all()

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from op3.diagnose.coordinates import Coordinate, base_coordinates, with_chain
-from op3.diagnose.findings import _of_gear
 from op3.diagnose.judge_settings import Settings
-from op3.diagnose.relevance import relevance
+from op3.diagnose.relevance import gear_coordinates, relevance
 from op3.servo.effects import Coulomb, LoadFriction
 from op3.sim import load_model
 
@@ -27,13 +26,18 @@ def does(torque: float, current: float, unread: bool = False, relative: float | 
     variance[..., 4:] = np.inf if unread else 1.0
     engine = SimpleNamespace(joints=("knee", "ankle"))
     reduction: Any = SimpleNamespace(
-        kinds=np.arange(6), unit=0.01, loads=np.array([0.5, 0.5]), judged=np.array([0, 1]), engine=engine
+        kinds=np.arange(6),
+        torque_unit=0.01,
+        loads=np.array([0.5, 0.5]),
+        joint_indices=np.array([0, 1]),
+        engine=engine,
+        settings=Settings(),
     )
     point = np.array([1.0, 1.0 if kind.kind == "add" else 0.0])
-    linear, coordinates = SimpleNamespace(base=made), SimpleNamespace(entries=(NAMED, kind))
+    linear, coordinates = SimpleNamespace(jacobian=made), SimpleNamespace(entries=(NAMED, kind))
     base: Any = SimpleNamespace(linear=linear, point=point, coordinates=coordinates)
     rows: Any = SimpleNamespace(variance=variance)
-    return relevance(reduction, base, 0, rows, Settings(), () if relative is None else (1,))
+    return relevance(reduction, base, 0, rows, () if relative is None else (1,))
 
 
 def test_a_torque_matters_beside_the_load_and_the_sensors():
@@ -63,5 +67,5 @@ def test_only_another_law_of_the_gear_repairs_that_of_the_base():
     """Load friction may look like directional efficiency; Coulomb friction is a law of its own."""
     model = with_chain(load_model("paper"))
     base: Any = SimpleNamespace(coordinates=base_coordinates(model, ("knee", "ankle")))
-    assert "backward_efficiency" in {entry.parameter for entry in _of_gear(LoadFriction, base)}
-    assert _of_gear(Coulomb, base) == []
+    assert "backward_efficiency" in {entry.parameter for entry in gear_coordinates(LoadFriction, base)}
+    assert gear_coordinates(Coulomb, base) == []

@@ -1,4 +1,4 @@
-"""Numbers refitted on whole runs of a bench: an arm that is held and let go."""
+"""Parameters refitted on whole runs of a bench: an arm that is held and let go."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 from op3.diagnose import whole_runs
 from op3.diagnose.base import Baseline
 from op3.diagnose.coordinates import BENCH, CHAIN, Coordinates, base_coordinates, with_chain, with_setups
-from op3.diagnose.reduction import Linear
+from op3.diagnose.reduction import Linearisation
 from op3.replay import Replay
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
@@ -44,7 +44,7 @@ def base_at(known: Coordinates, **factors: float) -> Baseline:
     """A base as windows would have left it, some numbers multiplied, each known to a twentieth."""
     point = known.start * [factors.get(entry.parameter, 1.0) for entry in known.entries]
     fit: Any = SimpleNamespace(precision=np.diag((20.0 / np.maximum(known.start, 1e-3)) ** 2))
-    return Baseline(Linear(known, point, (), (), np.zeros(0), np.zeros(0)), fit)
+    return Baseline(Linearisation(known, point, (), (), np.zeros(0), np.zeros(0)), fit)
 
 
 def test_whole_runs_find_what_a_window_hardly_shows(known, logs):

@@ -3,7 +3,7 @@
 import pytest
 
 from op3.diagnose import LogSplit
-from op3.diagnose.base import settle
+from op3.diagnose.base import gauss_newton
 from op3.diagnose.coordinates import base_coordinates, with_chain
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.window_gaps import WindowGaps, plain_gaps, window_gaps
@@ -22,7 +22,7 @@ def gaps() -> WindowGaps:
     logs = tuple(planned_suite(truth, runs)) * 2
     reduction = Reduction(WindowResiduals(logs, windows=8))
     coordinates = base_coordinates(truth, LEG_JOINTS, reduction.moving)
-    base = settle(reduction, coordinates, coordinates.start, steps=0)
+    base = gauss_newton(reduction, coordinates, coordinates.start, steps=0)
     between = truth.with_values({"coulomb_friction": 0.17})
     found = window_gaps((load_model("paper"), between, truth), base, LogSplit((), logs, ((0, 1),)), logs)
     assert found is not None
