@@ -36,7 +36,7 @@ class Job:
     """
 
     def __init__(self, app: str, module: str = ""):
-        self.app, self.module = app, module or f"op3.apps.{app}"
+        self.module = module or f"op3.apps.{app}"
         self.__module__ = f"op3.apps.{app}"  # Hydra names the job after it
 
     def __call__(self, cfg: DictConfig) -> Any:
