@@ -9,8 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
-PERIOD = 0.008
-"""Period of the control loop [s]: 125 Hz (paper Sec. robot setup)."""
+from op3.common.settings import CONTROL_PERIOD
+
+PERIOD = CONTROL_PERIOD
+"""Period of the control loop [s]."""
 
 POLICY_TICKS = 4
 """Ticks per policy step: 31.25 Hz (paper Sec. robot setup)."""

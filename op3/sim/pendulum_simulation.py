@@ -13,15 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.robot.register_units import GRAVITY
 from op3.servo import RobotModel, Servos
 from op3.servo.machine_code import entry
 from op3.sim.edits import LINK, ROTOR
 from op3.sim.inputs import expand_parameters, fresh_start, set_commands
 from op3.sim.trunk_sensors import readings, undo_sensing
-
-PD_PERIOD = 0.008
-"""Time between ticks of a PD that commands current [s]; paper, 125 Hz."""
 
 
 class PendulumSimulation:
@@ -35,7 +33,7 @@ class PendulumSimulation:
         mass: of the weights [kg], ``[sim]``.
         length: from shaft to weight [m], ``[sim]``.
         timestep: simulation step [s], in which a servo's own position loop runs once; a PD that commands current
-            ticks every `PD_PERIOD`.
+            ticks every `op3.common.settings.CONTROL_PERIOD`.
 
     Raises:
         ValueError: if the model has an effect that changes what a bench does not have.
@@ -54,7 +52,7 @@ class PendulumSimulation:
         self.model = model
         self.timestep = timestep
         # the PD on a computer has its own period; a servo's own loop runs in every step
-        self._every = round(PD_PERIOD / timestep) if "current_pd" in model.effect_names else 1
+        self._every = round(CONTROL_PERIOD / timestep) if "current_pd" in model.effect_names else 1
         self._steps = 0
         self.num_sims = len(mass)
         self._mass, self._length = (value.to(torch.float64).view(-1, 1) for value in (mass, length))

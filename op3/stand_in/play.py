@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from op3.common.settings import CONTROL_PERIOD
 from op3.motions import Excitation, Motion
 from op3.motions.motion import gain_rows, sample
 from op3.motions.motion_checks import check_targets
 from op3.rollout import Metadata, Rollout
 from op3.stand_in.sensors import Sensors
-
-CONTROL_PERIOD = 0.008
-"""Period of the PD [s]; paper, 125 Hz."""
 
 FALL_ANGLE = np.deg2rad(45)
 """A trunk that rolls or pitches further has fallen [rad]."""
