@@ -18,7 +18,7 @@ from op3.apps.compose import composed
 from op3.apps.fields import plain
 from op3.apps.train import describe, learner, robots
 from op3.report import machine, run_provenance
-from op3.train import Practice, TrainSettings, train
+from op3.train import Curriculum, TrainSettings, train
 
 
 def seconds(cfg, overlap: bool) -> float:
@@ -28,7 +28,7 @@ def seconds(cfg, overlap: bool) -> float:
     algorithm = learner(cfg, task, environment)
     manifest = describe(cfg, task, algorithm, run_provenance(seed=0))
     settings = TrainSettings(**{**plain(cfg.train), "overlap": overlap})
-    options = {"practice": Practice(task.schedules), "say": lambda line: None}
+    options = {"curriculum": Curriculum(task.schedules), "say": lambda line: None}
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         train(algorithm, environment, lambda policy: {}, settings, manifest, folder, **options)

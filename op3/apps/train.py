@@ -27,7 +27,7 @@ from op3.apps.current_run import by_name, model_artifact, output_folder, provena
 from op3.apps.fields import plain, whole
 from op3.common.assets import named_configs
 from op3.common.private import CLAIMED
-from op3.common.settings import imported, nearest
+from op3.common.settings import imported, mistake, nearest
 from op3.envs import BatchedEnv, make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle, Training
 from op3.policy.mirror import Mirror
@@ -38,7 +38,7 @@ from op3.robot import load_robot
 from op3.sim import model_for
 from op3.sim.model_file import model_hash
 from op3.tasks.task import Task, find_task
-from op3.train import Algorithm, Practice, TrainSettings, evaluate
+from op3.train import Algorithm, Curriculum, TrainSettings, evaluate
 from op3.train import train as run_training
 from op3.train.checkpoint import load_checkpoint
 from op3.train.training import CHECKPOINT, check_unused
@@ -186,14 +186,13 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
     kind = imported(target := settings.pop("_target_"), "algorithm._target_")
     if not (isinstance(kind, type) and issubclass(kind, Algorithm)):
         raise ValueError(f"algorithm._target_: {target} is not a class derived from op3.train.Algorithm")
-    algorithm = kind(
-        robots,
-        seed=cfg.seed,
-        initial_action=torch.as_tensor(action_map.stand(cfg.initial_gain)),
-        mirror=mirror_of(cfg, task, action_map),
-        device=device,
-        **settings,
-    )
+    mirror, stand = mirror_of(cfg, task, action_map), torch.as_tensor(action_map.stand(cfg.initial_gain))
+    try:
+        algorithm = kind(robots, seed=cfg.seed, initial_action=stand, mirror=mirror, device=device, **settings)
+    except ValueError:
+        raise
+    except Exception as error:
+        raise ValueError(f"algorithm._target_={target}: {mistake(error, __file__)}") from error
     if cfg.resume is None and start is not None:
         algorithm.start_from(start)
     return algorithm
@@ -250,7 +249,7 @@ def main(cfg: DictConfig) -> Trained:
     if recipe not in ("null", choices["task"], *recipes):  # Hydra leaves out one that is optional
         raise ValueError(f"recipe={recipe}: there is no {recipe!r} in the group recipe{nearest(recipe, recipes)}")
     task, facts = chosen_task(cfg), provenance(cfg)
-    settings, practice = TrainSettings(**plain(cfg.train)), Practice(task.schedules)
+    settings, curriculum = TrainSettings(**plain(cfg.train)), Curriculum(task.schedules)
     training = robots(cfg, task)
     algorithm = learner(cfg, task, training)
     manifest = describe(cfg, task, algorithm, facts)
@@ -268,7 +267,7 @@ def main(cfg: DictConfig) -> Trained:
             settings,
             manifest,
             folder,
-            practice=practice,
+            curriculum=curriculum,
             log=lambda measures, step: logger.log(measures, step),
             say=lambda line: print(line, flush=True),
             config={**plain(cfg), "resume": None, "choices": choices},

@@ -17,6 +17,7 @@ import difflib
 import functools
 import importlib
 import re
+import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
@@ -211,6 +212,20 @@ def imported(name: str, where: str) -> Any:
         known = [key for key in getattr(home, "__all__", vars(home)) if callable(getattr(home, key))]
         raise ValueError(f"{where}: {module} has no {attribute!r}{nearest(attribute, known)}")
     return found
+
+
+def mistake(error: Exception, caller: str) -> str:
+    """An error in a function that a user wrote: its type, file and line, its message, and the nearest name.
+
+    Args:
+        caller: file that called the function; an error raised there has no line of the user's.
+    """
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = "" if frame.filename == caller else f" in {Path(frame.filename).name}, line {frame.lineno}"
+    close = ""
+    if isinstance(error, AttributeError) and error.name:
+        close = nearest(error.name, [name for name in dir(error.obj) if not name.startswith("_")])
+    return f"{type(error).__name__}{place}: {error}{close}"
 
 
 _SCALARS = {

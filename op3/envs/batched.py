@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from op3.common.settings import CONTROL_PERIOD
-from op3.envs.specs import answer, set_specs
+from op3.envs.specs import as_tensordict, set_specs
 from op3.policy import ActionMap
 from op3.policy.forward_kinematics import PROCESSOR
 from op3.robot import load_robot
@@ -22,7 +22,7 @@ from op3.sim import BatchSimulation, attach_servos
 from op3.sim.batch_simulation import torch_view
 from op3.tasks.episodes import World, episode_seed
 from op3.tasks.mdp import Mdp
-from op3.tasks.snapshot import Probe, Snapshot, moved
+from op3.tasks.snapshot import Probe, Snapshot, to_device
 from op3.tasks.task import POLICY_PERIOD, TICKS, Task
 from op3.tasks.whole_step import WholeStep
 
@@ -70,9 +70,9 @@ class BatchedEnv(EnvBase):
         self.scene = build_scene(task.scene, robot=load_robot(task.robot))
         attach_servos(self.scene.joints)
         try:
-            with self._there():
+            with self._on_device():
                 self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:
             if "can't allocate memory" in str(error):  # torch has no error of its own for it on processors
                 raise MemoryError(f"no memory for {num_envs} robots") from None
             raise
@@ -166,13 +166,13 @@ class BatchedEnv(EnvBase):
         """
         return self._begin({row: episode_seed(self.seed, 0, number) for row, number in episodes.items()})
 
-    def practise(self, timestep: float | None = None, **values: float) -> None:
-        """Change parameters of the task, as curricula do.
+    def set_terms(self, timestep: float | None = None, **values: float) -> None:
+        """Change parameters of the task's terms, as curricula do.
 
         Args:
             timestep: time step of the physics [s], from the next reset of all robots on; None: unchanged.
-        **values: values by path, see `op3.tasks.mdp.Mdp.set`. Values that are drawn when an episode begins change
-            for the following episodes.
+            **values: values by path, see `op3.tasks.mdp.Mdp.set`. Values that are drawn when an episode begins change
+                for the following episodes.
         """
         self.timestep = self.timestep if timestep is None else timestep
         for path, value in values.items():
@@ -191,13 +191,13 @@ class BatchedEnv(EnvBase):
         rows = np.array(sorted(seeds), dtype=np.int64)
         drawn = np.array([seeds[int(row)] for row in rows], dtype=np.int64)
         self.episode_seeds[rows] = drawn
-        with self._there():
+        with self._on_device():
             episodes = self.mdp.begin(rows, drawn)
         commands = self._scaled(self.mdp.resting_commands(len(rows)))
         every = len(rows) == self.num_envs
         self.simulation.reset(episodes.qpos, commands, episodes.qvel, rows=None if every else rows)
-        with self._there():
-            return answer(self.mdp, self.mdp.begun(self._moved(self.snapshot())))
+        with self._on_device():
+            return as_tensordict(self.mdp, self.mdp.begun(self._to_device(self.snapshot())))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].double()
@@ -212,23 +212,24 @@ class BatchedEnv(EnvBase):
                 self.on_tick(tick)
             self.mdp.tick(now)
             self.simulation.advance()
-        throughout = self._whole_step.result()
-        with self._there():
-            outcome = self.mdp.finish(action, *map(self._moved, (self.snapshot(), throughout, self.simulation.failed)))
-            return answer(self.mdp, outcome.observation, outcome, throughout)
+        statistics = self._whole_step.result()
+        with self._on_device():
+            measured = map(self._to_device, (self.snapshot(), statistics, self.simulation.failed))
+            outcome = self.mdp.finish(action, *measured)
+            return as_tensordict(self.mdp, outcome.observation, outcome, statistics)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
         """Commands as the servos get them, on the processor."""
         scale = self._gain_scale
         return {name: (value * scale if "gain" in name else value).cpu() for name, value in commands.items()}
 
-    def _there(self) -> AbstractContextManager:
+    def _on_device(self) -> AbstractContextManager:
         """Where new tensors are made on the environment's device."""
         return nullcontext() if self.device == PROCESSOR else self.device
 
-    def _moved(self, measured: Any) -> Any:
+    def _to_device(self, measured: Any) -> Any:
         """A tensor, or an object of tensors, of the simulation on the environment's device."""
-        return measured if self.device == PROCESSOR else moved(measured, self.device)
+        return measured if self.device == PROCESSOR else to_device(measured, self.device)
 
     def _look(self) -> None:
         simulation = self.simulation

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
-from op3.envs.specs import answer, set_specs
+from op3.envs.specs import as_tensordict, set_specs
 from op3.policy import ActionMap
 from op3.servo import RobotModel
 from op3.tasks.composer_task import ComposerTask, composer_environment
@@ -36,9 +36,9 @@ class ComposerEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         del tensordict, kwargs
         self.composer.reset()
-        return answer(self.composer_task.mdp, self.composer_task.observation)
+        return as_tensordict(self.composer_task.mdp, self.composer_task.observation)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self.composer.step(tensordict["action"][0].double().numpy())
         made = self.composer_task
-        return answer(made.mdp, made.observation, made.outcome, made.throughout)
+        return as_tensordict(made.mdp, made.observation, made.outcome, made.statistics)

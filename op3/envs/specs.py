@@ -7,10 +7,10 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from op3.tasks.mdp import Mdp, Outcome
-from op3.tasks.whole_step import Throughout
+from op3.tasks.whole_step import StepStatistics
 
 MEASURES = ("peak_force", "peak_acceleration", "peak_penetration", "self_contact")
-"""What training logs of a step besides reward and success, see `op3.tasks.whole_step.Throughout`."""
+"""What training logs of a step besides reward and success, see `op3.tasks.whole_step.StepStatistics`."""
 
 
 def set_specs(env: EnvBase, mdp: Mdp) -> None:
@@ -41,10 +41,10 @@ def set_specs(env: EnvBase, mdp: Mdp) -> None:
     env.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=batch)
 
 
-def answer(
-    mdp: Mdp, observation: Tensor, outcome: Outcome | None = None, throughout: Throughout | None = None
+def as_tensordict(
+    mdp: Mdp, observation: Tensor, outcome: Outcome | None = None, statistics: StepStatistics | None = None
 ) -> TensorDict:
-    """What an environment says of all robots after a step; without an outcome, where episodes begin."""
+    """Output of an environment after a step; without an outcome, at the beginning of episodes."""
     count = len(observation)
 
     def column(values: Tensor | None) -> Tensor:
@@ -56,7 +56,7 @@ def answer(
     content = {
         "observation": observation.float(),
         "reward_terms": {name: column(outcome.terms[name] if outcome else None) for name in mdp.task.reward_terms},
-        "measure": {name: column(getattr(throughout, name, None)) for name in MEASURES} | {"success": column(success)},
+        "measure": {name: column(getattr(statistics, name, None)) for name in MEASURES} | {"success": column(success)},
         "done": (terminated | truncated)[:, None],
         "terminated": terminated.clone()[:, None],
         "truncated": truncated.clone()[:, None],

@@ -10,10 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.common.settings import shown
 from op3.policy import observations
 from op3.policy.observations import Sensed
-from op3.policy.terms import Term
+from op3.policy.terms import Term, shape_of
 from op3.robot import Robot
 
 Terms = Mapping[str, Mapping[str, Any]]
@@ -63,8 +62,7 @@ class Observer:
                 problem = str(error).removeprefix(f"{where}: ")
                 raise ValueError(f"{where} does not fit the robot {robot.name}: {problem}") from error
             if not isinstance(value, Tensor) or value.shape[:-1] != example.joint_position.shape[:-1]:
-                given = tuple(value.shape) if isinstance(value, Tensor) else shown(value)
-                raise ValueError(f"{where} must return [..., number], for one robot (1, number), got {given}")
+                raise ValueError(f"{where} must return [..., number], for one robot (1, number), got {shape_of(value)}")
             self.layout[term.name] = value.shape[-1]
         self.history = history
         self._late: dict[str, list[Tensor]] = {}

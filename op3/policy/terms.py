@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import inspect
 import re
-import traceback
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
+from math import isfinite
 from types import ModuleType
 from typing import Any
 
 from torch import Tensor
 
-from op3.common.settings import imported, nearest
+from op3.common.settings import imported, mistake, nearest, shown
 
 FUNCTION = "function"
 """Field of a term's configuration that names its function or class; without it the term's own name does."""
@@ -68,6 +67,8 @@ class Term:
         for argument in (*numbers, *self.options):
             if type(value := {**self.options, **given}[argument]) not in (int, float):
                 raise ValueError(f"{where}.{argument} must be a number, got {value!r}")
+            if argument in self.options and not isfinite(value):
+                raise ValueError(f"{where}.{argument} must be finite, got {value!r}")
         offered = {argument: context[argument] for argument in arguments if argument in context}
         required = [a for a in wanted if arguments[a].default is inspect.Parameter.empty and a not in given]
         if required:
@@ -75,10 +76,7 @@ class Term:
         self.parameters: dict[str, Any] = {**offered, **given}
         self.target: Any = function
         if inspect.isclass(function):
-            try:
-                self.target = self._checked(function, **self.parameters)
-            except ValueError as error:
-                raise ValueError(f"{where}: {str(error).removeprefix(f'{where}: ')}") from error
+            self.target = self._checked(function, **self.parameters)
 
     @property
     def keeps_memory(self) -> bool:
@@ -97,18 +95,23 @@ class Term:
     def at(self, time: Tensor) -> Tensor:
         """What a command asks for at a time of each episode [s], ``[env, number]``."""
         if (method := self.hook("at")) is None:
-            raise ValueError(f"{self._where} must be a class with a method at(time), got {self.target!r}")
-        return method(time)
+            name = getattr(self.target, "__name__", type(self.target).__name__)
+            raise ValueError(f"{self._where} must be a class with a method at(time), got {name}")
+        value = method(time)
+        if not isinstance(value, Tensor) or value.ndim != 2 or len(value) != len(time):
+            raise ValueError(f"{self._where} must return [env, number] = ({len(time)}, ...), got {shape_of(value)}")
+        return value
 
     def _checked(self, function: Callable[..., Any], /, *inputs: Any, **parameters: Any) -> Any:
         """A call of a function that a user wrote, whose mistakes are reported with term, file and line."""
         try:
             return function(*inputs, **parameters)
-        except (AttributeError, IndexError, KeyError, NameError, TypeError) as error:
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            close = nearest(error.name, dir(error.obj)) if isinstance(error, AttributeError) and error.name else ""
-            place = f"{Path(frame.filename).name}, line {frame.lineno}"
-            raise ValueError(f"{self._where}: {type(error).__name__} in {place}: {error}{close}") from error
+        except ValueError as error:
+            raise ValueError(f"{self._where}: {str(error).removeprefix(f'{self._where}: ')}") from error
+        except MemoryError:
+            raise
+        except Exception as error:
+            raise ValueError(f"{self._where}: {mistake(error, __file__)}") from error
 
     def set(self, field: str, value: Any) -> None:
         """Change an option or a parameter while the task runs, as a curriculum does."""
@@ -122,6 +125,11 @@ class Term:
             target = type(self.target) if self.keeps_memory else self.target
             known = [*self.options, *_arguments(target, self._inputs)]
             raise ValueError(f"{self._where}.{field}: unknown field{nearest(field, known)}")
+
+
+def shape_of(value: Any) -> str:
+    """The shape of a tensor, or any other value as it is."""
+    return str(tuple(value.shape)) if isinstance(value, Tensor) else shown(value)
 
 
 def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:

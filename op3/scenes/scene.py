@@ -114,9 +114,12 @@ class Scene:
         Args:
             visual: whether geoms that only pictures show are in it. Without them all moves alike, and faster.
         """
-        spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
-        spec.compiler.discardvisual = not visual
-        return exclude_neighbours(spec).compile()
+        try:
+            spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
+            spec.compiler.discardvisual = not visual
+            return exclude_neighbours(spec).compile()
+        except ValueError as error:  # of a scene of a user's own
+            raise ValueError(f"scene={self.name}: {' '.join(str(error).splitlines()[:2])}") from None
 
     def initial_qpos(
         self, joint_position: ArrayLike, roll: float | None = None, pitch: float | None = None

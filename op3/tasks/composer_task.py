@@ -133,8 +133,8 @@ class ComposerTask(composer.Task):
         del random_state
         data = physics.data.ptr
         failed = torch.tensor([not np.isfinite(data.qacc).all() or bool(data.warning.number.any())])
-        self.throughout = self._whole_step.result()
-        self.outcome = self.mdp.finish(self._action, self._snapshot(physics), self.throughout, failed)
+        self.statistics = self._whole_step.result()
+        self.outcome = self.mdp.finish(self._action, self._snapshot(physics), self.statistics, failed)
         self.observation = self.outcome.observation
 
     def get_reward(self, physics: Any) -> float:

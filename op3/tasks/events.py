@@ -131,7 +131,7 @@ class Terrain:
         """The simulation exists."""
         self._tiles, self._geom_pos = tile_ids(world.model), world.geom_pos
         if self._geom_pos is None:
-            raise ValueError("events.terrain: the scene has no tiles; take scene: terrain")
+            raise ValueError("the scene has no tiles; take scene: terrain")
 
     def heights(self, seed: int) -> Array:
         """Heights of the tiles in the episode of a seed [m], ``[tile]``."""
@@ -214,7 +214,7 @@ class Randomisation:
     def attach(self, world: World) -> None:
         """The simulation exists."""
         if world.set_parameters is None:
-            raise ValueError("events.randomisation needs the batched environment")
+            raise ValueError("only the batched environment draws parameters")
         self._set = world.set_parameters
 
     def begin(self, episodes: Episodes) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from op3.common.settings import nearest, shown
+from op3.common.settings import nearest
 from op3.policy import ActionMap
 from op3.policy.observations import Sensed
-from op3.policy.terms import Term
+from op3.policy.terms import Term, shape_of
 from op3.robot import Robot
 from op3.robot.register_units import ANGLE_UNIT, GYRO_UNIT
 from op3.scenes import Scene
@@ -23,7 +23,7 @@ from op3.tasks.episodes import Array, Episodes, World
 from op3.tasks.snapshot import Snapshot
 from op3.tasks.state import State
 from op3.tasks.task import POLICY_PERIOD, Task
-from op3.tasks.whole_step import Throughout
+from op3.tasks.whole_step import StepStatistics
 
 HOMES: Mapping[str, Any] = {
     "rewards": rewards,
@@ -183,7 +183,7 @@ class Mdp:
             if hook := term.hook("begun"):
                 hook(self._begun, snapshot.readings["orientation"][:, 2])
         if terms := self.terms["privileged"]:
-            still = Throughout.still(self.num_envs, len(self.robot.file.feet) if self.task.gait else 0)
+            still = StepStatistics.still(self.num_envs, len(self.robot.file.feet) if self.task.gait else 0)
             state = State(snapshot, still, self._previous, self._previous, self.time, self.phase, self._asked())
             at_first = self._privileged(state, {name: term for name, term in terms.items() if not term.keeps_memory})
             self.privileged = torch.where(self._begun[:, None], at_first, self.privileged)
@@ -201,7 +201,7 @@ class Mdp:
             elif hook := term.hook("tick"):
                 hook(time)
 
-    def finish(self, action: Tensor, snapshot: Snapshot, step: Throughout, failed: Tensor) -> Outcome:
+    def finish(self, action: Tensor, snapshot: Snapshot, step: StepStatistics, failed: Tensor) -> Outcome:
         """A policy step is over.
 
         Args:
@@ -239,24 +239,22 @@ class Mdp:
         return Outcome(observation, reward, terms, terminated, truncated, success)
 
     def _value(self, kind: str, term: Term, state: State) -> Tensor:
-        """A term's value, which must have one number per robot."""
-        value = term(state)
-        if not isinstance(value, Tensor) or tuple(value.shape) != (self.num_envs,):
-            given = tuple(value.shape) if isinstance(value, Tensor) else shown(value)
-            raise ValueError(f"{kind}.{term.name} must return [env] = ({self.num_envs},), got {given}")
+        """A term's value, which must have one number per robot, or as many as the mirror of a privileged term."""
+        value, axes, shape = term(state), "[env]", (self.num_envs,)
+        if kind == "privileged":
+            axes, shape = "[env, sign of its mirror]", (self.num_envs, len(term.target.mirror))
+        if not isinstance(value, Tensor) or tuple(value.shape) != shape:
+            raise ValueError(f"{kind}.{term.name} must return {axes} = {shape}, got {shape_of(value)}")
         if kind in ("terminations", "success") and value.dtype != torch.bool:
             raise ValueError(f"{kind}.{term.name} must return true or false for each robot, got {value.dtype}")
-        return value
+        return value.detach()
 
     def _privileged(self, state: State, terms: Mapping[str, Term]) -> Tensor:
         """Values of privileged terms, ``[env, number]``; 0 where one of the task is not among these."""
         columns = []
         for name, term in self.terms["privileged"].items():
-            shape = (self.num_envs, len(term.target.mirror))
-            value = term(state) if name in terms else torch.zeros(shape, dtype=torch.float64)
-            if tuple(value.shape) != shape:
-                raise ValueError(f"privileged.{name} must return {shape}, as its mirror says, got {tuple(value.shape)}")
-            columns.append(value)
+            zeros = torch.zeros(self.num_envs, len(term.target.mirror), dtype=torch.float64)
+            columns.append(self._value("privileged", term, state) if name in terms else zeros)
         return torch.cat(columns, 1) if columns else torch.zeros(self.num_envs, 0, dtype=torch.float64)
 
     def _asked(self) -> dict[str, Tensor]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from op3.scenes import Scene
 from op3.tasks import rewards
 from op3.tasks.addresses import Addresses
-from op3.tasks.whole_step import Throughout
+from op3.tasks.whole_step import StepStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +44,19 @@ class Snapshot:
     tip: Tensor | None = None
     tip_position: Tensor | None = None
 
-    def at_the_end(self, step: Throughout) -> Throughout:
+    def at_the_end(self, step: StepStatistics) -> StepStatistics:
         """A policy step with constant currents and body motion, equal to the present ones."""
         acceleration = rewards.norm(rewards.body_acceleration(self.specific_force, self.readings["orientation"]))
         rate = rewards.norm(self.readings["angular_velocity"])
         return step.replace(current=rewards.norm(self.current), angular_velocity=rate, acceleration=acceleration)
 
 
-def moved(values: Any, device: torch.device) -> Any:
+def to_device(values: Any, device: torch.device) -> Any:
     """A tensor, a mapping of tensors, or a snapshot or the like, on a device."""
     if isinstance(values, Mapping):
-        return {name: moved(value, device) for name, value in values.items()}
+        return {name: to_device(value, device) for name, value in values.items()}
     if is_dataclass(values):
-        return type(values)(**{field.name: moved(getattr(values, field.name), device) for field in fields(values)})
+        return type(values)(**{field.name: to_device(getattr(values, field.name), device) for field in fields(values)})
     return values.to(device) if isinstance(values, Tensor) else values
 
 

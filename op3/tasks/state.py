@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from op3.tasks.snapshot import Snapshot, rotation
-from op3.tasks.whole_step import Throughout
+from op3.tasks.whole_step import StepStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class State:
     """
 
     snapshot: Snapshot
-    step: Throughout
+    step: StepStatistics
     action: Tensor
     previous_action: Tensor
     time: Tensor

@@ -98,6 +98,9 @@ class Task:
     def __post_init__(self):
         if twice := set(self.terms("rewards")) & set(self.terms("shaping")):
             raise ValueError(f"task {self.name}: {min(twice)!r} is a term of rewards and of shaping; rename one")
+        for kind, terms in (("rewards", self.reward_terms), ("observations", self.terms("observations"))):
+            if not terms:
+                raise ValueError(f"task {self.name}: {kind} has no term; give at least one")
 
     def terms(self, kind: str) -> dict[str, dict[str, Any]]:
         """Terms of a kind that are on, by name."""

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Throughout:
+class StepStatistics:
     """Means over a policy step and the largest values in it, ``[sim]`` unless stated.
 
     Attributes:
@@ -52,18 +52,18 @@ class Throughout:
     peak_penetration: Tensor
 
     @classmethod
-    def still(cls, count: int, feet: int) -> Throughout:
+    def still(cls, count: int, feet: int) -> StepStatistics:
         """Values of robots before their first step."""
         whole, of_feet = torch.zeros(count, dtype=torch.float64), torch.zeros(count, feet, dtype=torch.float64)
         return cls(*[whole] * 4, *[of_feet] * 4, *[whole] * 3)
 
-    def replace(self, **values: Tensor) -> Throughout:
+    def replace(self, **values: Tensor) -> StepStatistics:
         """A copy with other values of some attributes."""
         return replace(self, **values)
 
 
 class WholeStep:
-    """Accumulates the values of `Throughout` from live arrays of a simulation.
+    """Accumulates the values of `StepStatistics` from live arrays of a simulation.
 
     Args:
         feet: whether to read the feet, as tasks with a gait need.
@@ -99,12 +99,12 @@ class WholeStep:
             self._base, self._accelerometer, self._contact, self._forces, self._points, self._timestep,
         )  # fmt: skip
 
-    def result(self) -> Throughout:
+    def result(self) -> StepStatistics:
         """The step so far."""
         mean = torch.from_numpy(self._sums / max(self._samples, 1))
         feet = torch.from_numpy(self._feet_sums / max(self._samples, 1))
         peak = torch.from_numpy(self._peaks.copy())
-        return Throughout(*mean.unbind(1), *feet.unbind(1), *peak.unbind(1))
+        return StepStatistics(*mean.unbind(1), *feet.unbind(1), *peak.unbind(1))
 
 
 @numba.njit(cache=True, nogil=True)

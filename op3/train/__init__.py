@@ -15,9 +15,8 @@ logging.getLogger("torchrl").setLevel(logging.WARNING)  # and says whenever it m
 from op3.train.algorithm import Algorithm, AlgorithmSettings, Explorer
 from op3.train.greedy_episodes import evaluate
 from op3.train.off_policy import Mirrored, OffPolicy, OffPolicySettings
-from op3.train.practice import Practice
 from op3.train.sac import SAC, SACSettings
-from op3.train.training import Progress, TrainSettings, train
+from op3.train.training import Curriculum, Progress, TrainSettings, train
 
 if TYPE_CHECKING:
     from op3.train.ppo import PPO, PPOSettings
@@ -30,12 +29,12 @@ __all__ = [
     "TD3",
     "Algorithm",
     "AlgorithmSettings",
+    "Curriculum",
     "Explorer",
     "Mirrored",
     "OffPolicy",
     "OffPolicySettings",
     "PPOSettings",
-    "Practice",
     "Progress",
     "SACSettings",
     "TD3Settings",

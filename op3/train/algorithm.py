@@ -92,14 +92,14 @@ class Algorithm(nn.Module, ABC):
         self.environments = environment.batch_size[0]
         self.observation_size = environment.observation_spec["observation"].shape[-1]
         self.action_size = environment.action_spec.shape[-1]
-        self.seen = [name for name in ("observation", "privileged") if name in environment.observation_spec]
-        self.seen_size = sum(environment.observation_spec[name].shape[-1] for name in self.seen)
+        self.critic_keys = [name for name in ("observation", "privileged") if name in environment.observation_spec]
+        self.critic_input_size = sum(environment.observation_spec[name].shape[-1] for name in self.critic_keys)
         self.mirror, self.device = mirror, torch.device(device)
         self.normalisation = getattr(self.settings, "normalisation", "running")
         self.updates = 0
         self.optimisers: dict[str, torch.optim.Optimizer] = {}
         torch.manual_seed(seed)  # weights are drawn on the CPU, so that a seed gives the same weights on every device
-        self.normaliser = Normaliser(self.seen_size, self.settings.clip)
+        self.normaliser = Normaliser(self.critic_input_size, self.settings.clip)
         self.network = self.policy_network(initial_action)
         self.average = copy.deepcopy(self.network).requires_grad_(False) if self.settings.averaging else None
         self.build()
@@ -188,17 +188,12 @@ class Algorithm(nn.Module, ABC):
             chosen.largest_std,
         )
 
-    def stochastic_actor(self, safe_tanh: bool = True) -> ProbabilisticActor:
-        """The policy in the form of TorchRL's losses: normalised observations to squashed Gaussian actions.
-
-        Args:
-            safe_tanh: whether actions stay so far from 1 that their probability can be asked for again.
-        """
+    def stochastic_actor(self) -> ProbabilisticActor:
+        """The policy in the form of TorchRL's losses: normalised observations to squashed Gaussian actions."""
         return ProbabilisticActor(
             TensorDictModule(self.network, [NORMALISED], ["loc", "scale"]),
             in_keys=["loc", "scale"],
             distribution_class=TanhNormal,
-            distribution_kwargs={"safe_tanh": safe_tanh},
             return_log_prob=True,
         )
 
@@ -210,12 +205,12 @@ class Algorithm(nn.Module, ABC):
         """Set the normalised observations of transitions."""
         places: Any = (batch, batch["next"])
         for place in places:
-            place[NORMALISED] = self.normaliser(self.all_seen(place))
+            place[NORMALISED] = self.normaliser(self.critic_inputs(place))
         return batch
 
-    def all_seen(self, place: TensorDictBase) -> Tensor:
+    def critic_inputs(self, place: TensorDictBase) -> Tensor:
         """Observations and privileged observations, ``[..., observation + privileged]``."""
-        return torch.cat([place[name] for name in self.seen], -1)
+        return torch.cat([place[name] for name in self.critic_keys], -1)
 
     def step(self, name: str, loss: Tensor) -> None:
         """One step of an optimiser, with the gradient of only its own parameters."""
@@ -273,28 +268,28 @@ class Explorer(TensorDictModuleBase):
         self._sources = (normaliser, network)
         self._copies = nn.ModuleList(copy.deepcopy(self._sources)).requires_grad_(False)
         device = normaliser.mean.device
-        self._ladder = torch.linspace(0.0, 1.0, count, device=device)[:, None]
-        self.boldness = torch.ones(count, 1, device=device)
+        self._rank = torch.linspace(0.0, 1.0, count, device=device)[:, None]
+        self._noise_scale = torch.ones(count, 1, device=device)
         self.generator = torch.Generator(device)
 
-    def follow(self, boldest: float = 1.0) -> None:
+    def follow(self, largest_noise: float = 1.0) -> None:
         """Copy the current policy.
 
         Args:
-            boldest: multiple of the policy's standard deviation for the last robot; the first has 1, the others are
-                evenly spaced in the logarithm.
+            largest_noise: multiple of the policy's standard deviation for the last robot; the first has 1, the others
+                are evenly spaced in the logarithm.
         """
         for here, source in zip(self._copies, self._sources, strict=True):
             here.load_state_dict(source.state_dict())
-        self.boldness = torch.exp(self._ladder * math.log(boldest))
+        self._noise_scale = torch.exp(self._rank * math.log(largest_noise))
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Set ``action`` [env, action] for ``observation`` [env, observation]."""
         observation, (normaliser, network) = tensordict["observation"], self._copies
-        mean, std = network(normaliser(observation.to(self._ladder)))
+        mean, std = network(normaliser(observation.to(self._rank)))
         noise = torch.randn(mean.shape, generator=self.generator, device=mean.device)
-        action = torch.tanh(mean + self.boldness * std * noise)
+        action = torch.tanh(mean + self._noise_scale * std * noise)
         if self._scored:
             tensordict["action_log_prob"] = TanhNormal(mean, std).log_prob(action).to(observation.device)
         return tensordict.set("action", action.to(observation.device))

@@ -80,14 +80,14 @@ class OffPolicy(Algorithm):
 
     def make_loss(self) -> LossModule:
         """The loss, of `stochastic_actor` and `critic`, with a value estimator of this discount."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no make_loss")
 
     def q_network(self) -> QNetwork:
         """A new Q function."""
         chosen = self.settings
         bfloat16 = bfloat16_is_faster(self.device) if chosen.bfloat16 is None else chosen.bfloat16
         hidden = chosen.critic_hidden or chosen.hidden
-        return QNetwork(self.seen_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
+        return QNetwork(self.critic_input_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
 
     def critic(self) -> ValueOperator:
         """A new Q function in the form of TorchRL's losses."""
@@ -101,7 +101,7 @@ class OffPolicy(Algorithm):
                 f"a buffer of {chosen.buffer} transitions has fewer than two steps of {self.environments} environments"
             )
         self.steps = self.learned = self.stored = 0
-        storage = Gathered(chosen.buffer, device=self.device)
+        storage = IndexSelectStorage(chosen.buffer, device=self.device)
         self.buffer = ReplayBuffer(storage=storage, batch_size=chosen.batch)
         if self.mirror is not None and chosen.mirrored:
             self.buffer.append_transform(Mirrored(self.mirror, chosen.mirrored))
@@ -135,7 +135,7 @@ class OffPolicy(Algorithm):
     def take(self, rollout: TensorDictBase) -> Measures:
         """Store the transitions, with n-step returns, and update the normalisation."""
         if self.settings.normalisation == "running" or self.steps < self.settings.warmup:
-            self.normaliser.update(self.all_seen(rollout))
+            self.normaliser.update(self.critic_inputs(rollout))
         self.steps += rollout.numel()
         self.stored += rollout.numel()
         self._extend(self.multi_step, rollout)
@@ -152,10 +152,10 @@ class OffPolicy(Algorithm):
         self._extend(self.returns(), whole)
 
     def _extend(self, returns: MultiStepTransform, rollout: TensorDictBase) -> None:
-        ends = [("next", name) for name in (*self.seen, "reward", "done", "terminated")]
-        complete = returns.inv(rollout.select(*self.seen, "action", *ends))
+        ends = [("next", name) for name in (*self.critic_keys, "reward", "done", "terminated")]
+        complete = returns.inv(rollout.select(*self.critic_keys, "action", *ends))
         if complete is not None:
-            self.buffer.extend(complete.select(*self.seen, "action", "steps_to_next_obs", *ends).reshape(-1))
+            self.buffer.extend(complete.select(*self.critic_keys, "action", "steps_to_next_obs", *ends).reshape(-1))
 
     def learn(self) -> Measures:
         """Make the updates that are due for the steps since the last call."""
@@ -220,7 +220,7 @@ class OffPolicy(Algorithm):
         return int(max(steps - self.settings.warmup, 0) * self.settings.updates_per_step)
 
 
-class Gathered(LazyTensorStorage):
+class IndexSelectStorage(LazyTensorStorage):
     """TorchRL's storage, whose rows are read by `index_select`, several times faster on processors than indexing."""
 
     def get(self, index: Any) -> Any:

@@ -48,7 +48,7 @@ class PPO(Algorithm):
         """Make the value function, the loss and the advantages."""
         chosen = self.settings
         hidden = list(chosen.critic_hidden or chosen.hidden)
-        value = ValueOperator(MLP(self.seen_size, 1, num_cells=hidden, activation_class=nn.ReLU), [NORMALISED])
+        value = ValueOperator(MLP(self.critic_input_size, 1, num_cells=hidden, activation_class=nn.ReLU), [NORMALISED])
         self.loss = ClipPPOLoss(
             self.stochastic_actor(), value, clip_epsilon=chosen.clip_ratio, entropy_coeff=chosen.entropy
         )
@@ -87,5 +87,5 @@ class PPO(Algorithm):
                 self.optimisers["loss"].step()
                 self.count_update()
                 measures = {name: losses[name].detach() for name in (*names, "entropy")}
-        self.normaliser.update(self.all_seen(rollout))
+        self.normaliser.update(self.critic_inputs(rollout))
         return measures

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torchrl.modules import TanhNormal
 
 from op3.common.settings import Number, Positive, settings
 from op3.train.algorithm import NORMALISED, Measures
@@ -38,7 +39,6 @@ class SAC(OffPolicy):
 
     def build(self) -> None:
         """Make critics, their targets, temperature and buffer."""
-        self.actor = self.stochastic_actor(safe_tanh=False)  # probabilities come with the samples
         self.critics = Ensemble([self.q_network(), self.q_network()])
         self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
         self.log_temperature = nn.Parameter(torch.tensor(self.settings.initial_temperature).log())
@@ -62,11 +62,16 @@ class SAC(OffPolicy):
         approach(self.target_critics, self.critics, self.settings.target_rate)
         return measures | {"temperature": self.log_temperature.detach().exp()}
 
+    def sample(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Actions [..., action] of the policy for normalised observations, and their log probabilities [...]."""
+        # safe_tanh would keep actions away from 1; here probabilities come with the samples
+        return TanhNormal(*self.network(observation), safe_tanh=False).rsample_and_log_prob()
+
     def critic_loss(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Loss of the critics, and their mean value."""
         after: Any = batch["next"]
         with torch.no_grad():
-            action, log_prob = self.actor.get_dist(after).rsample_and_log_prob()
+            action, log_prob = self.sample(after[NORMALISED])
             value = self.target_critics(after[NORMALISED], action).amin(0) - self.log_temperature.exp() * log_prob
             discount = self.settings.discount ** batch["steps_to_next_obs"] * ~after["terminated"].squeeze(-1)
             target = torch.addcmul(after["reward"].squeeze(-1), discount, value)
@@ -75,8 +80,14 @@ class SAC(OffPolicy):
 
     def policy_loss(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Sum of the losses of policy and temperature, whose gradients are separate; and the entropy."""
-        action, log_prob = self.actor.get_dist(batch).rsample_and_log_prob()
+        action, log_prob = self.sample(batch[NORMALISED])
         temperature, entropy = self.log_temperature.exp(), -log_prob.mean()
         loss = -temperature.detach() * entropy - self.critics(batch[NORMALISED], action).amin(0).mean()
         wanted = self.settings.target_entropy * self.action_size
         return loss + self.log_temperature * (entropy.detach() - wanted), entropy
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *options: Any) -> None:
+        """Checkpoints of earlier versions have the policy's weights twice, also as those of an ``actor``."""
+        for name in [name for name in state_dict if name.startswith(f"{prefix}actor.")]:
+            del state_dict[name]
+        super()._load_from_state_dict(state_dict, prefix, *options)

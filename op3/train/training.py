@@ -7,17 +7,17 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv
 
-from op3.common.settings import Count, Whole, settings
+from op3.common.settings import Count, Listed, Named, Number, Whole, settings
 from op3.policy import Manifest
 from op3.train.algorithm import Algorithm
 from op3.train.checkpoint import load_checkpoint, save_checkpoint, stop_requested
 from op3.train.greedy_episodes import Policy
-from op3.train.practice import Practice
 
 CHECKPOINT = "checkpoint.pt"
 POLICY = "policy"
@@ -51,6 +51,31 @@ class TrainSettings:
     seed: Whole = 0
 
 
+Schedule = Listed[Listed[Number]]
+"""Pairs of a number of steps and a value, with straight lines between and constant beyond."""
+
+
+@settings()
+class Curriculum:
+    """Parameters of a task that change over the steps of a run; evaluations do not use them.
+
+    Attributes:
+        curricula: schedules by the path of a number in the task, such as ``shaping.speed_bonus.weight``; ``timestep``
+            is that of the physics [s], which changes at checkpoints, where all episodes restart.
+    """
+
+    curricula: Named[Schedule] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self):
+        for path, pairs in self.curricula.items():
+            if not pairs or any(len(pair) != 2 for pair in pairs) or list(pairs) != sorted(pairs):
+                raise ValueError(f"curricula.{path} lists pairs of steps and value, steps rising, got {pairs}")
+
+    def at(self, steps: int) -> dict[str, float]:
+        """Values after so many steps, by path."""
+        return {path: float(np.interp(steps, *np.array(pairs).T)) for path, pairs in self.curricula.items()}
+
+
 @dataclasses.dataclass
 class Progress:
     """Progress of a run.
@@ -80,7 +105,7 @@ def train(
     manifest: Manifest,
     folder: str | Path,
     *,
-    practice: Practice | None = None,
+    curriculum: Curriculum | None = None,
     log: Log | None = None,
     say: Callable[[str], None] = print,
     config: Mapping[str, Any] | None = None,
@@ -99,7 +124,7 @@ def train(
         settings: settings of the run.
         manifest: manifest of the policy bundle; steps and updates are filled in.
         folder: folder of the run.
-        practice: curricula, passed to the environment's method ``practise``; None: none.
+        curriculum: values of the task, passed to the environment's method ``set_terms``; None: none.
         log: receives the measures, for example for wandb.
         say: receives progress lines.
         config: plain values, kept in the checkpoint; a resumed run prints which of them have changed.
@@ -110,7 +135,7 @@ def train(
             finite, or if a checkpoint does not fit.
         FileNotFoundError: if there is no checkpoint to resume from.
     """
-    folder, practice, config = Path(folder), practice or Practice(), dict(config or {})
+    folder, curriculum, config = Path(folder), curriculum or Curriculum(), dict(config or {})
     identity = _identity(algorithm, manifest, settings)
     if not resume:
         check_unused(folder)
@@ -118,13 +143,13 @@ def train(
     run.stopped = False
     counted = TransformedEnv(base_env=environment, transform=Compose(RewardSum(), StepCounter()))  # pyright: ignore[reportCallIssue]
 
-    def practise() -> None:
-        if numbers := practice.at(run.steps):
-            environment.practise(**numbers)  # pyright: ignore[reportCallIssue]
+    def follow_curriculum() -> None:
+        if values := curriculum.at(run.steps):
+            environment.set_terms(**values)  # pyright: ignore[reportCallIssue]
 
     def restart() -> Collector:
         """A collector with new episodes; resetting a used one would zero tensors of the environment."""
-        practise()
+        follow_curriculum()
         seed = settings.seed + run.steps
         torch.manual_seed(seed)
         algorithm.restart(seed)
@@ -143,7 +168,7 @@ def train(
     with stop_requested() as stop, ThreadPoolExecutor(1, "collector", torch.set_num_threads, (1,)) as other:
         while run.steps < settings.steps and not run.stopped:
             algorithm.follow()
-            practise()
+            follow_curriculum()
             coming = other.submit(collector.rollout)
             if not settings.overlap:
                 coming.exception()  # waits

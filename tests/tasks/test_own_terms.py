@@ -96,6 +96,22 @@ class Mute:
     pass
 
 
+class Flat:
+    def at(self, time):
+        return time
+
+
+def mismatched(state):
+    return state.base_velocity @ torch.ones(7, dtype=torch.float64)
+
+
+def silent(state):
+    pass
+
+
+silent.mirror = (1.0,)
+
+
 def height_and_velocity(state):
     return torch.cat([state.base_height[:, None], state.heading_velocity], 1)
 
@@ -190,6 +206,9 @@ def test_a_term_of_the_wrong_shape_is_named(package):
         ("rewards", {"function": "constant"}, r"rewards\.mine must return \[env\] = \(2,\), got 1\.0"),
         ("observations", {"function": "constant"}, r"observations\.mine must return \[\.\.\., number\].*, got 1\.0"),
         ("terminations", {"function": "heights"}, r"terminations\.mine must return true or false for each robot, got"),
+        ("rewards", {"function": "mismatched"}, r"rewards\.mine: RuntimeError in terms\.py, line \d+: size mismatch"),
+        ("privileged", {"function": "silent"}, r"privileged\.mine must return .*mirror\] = \(2, 1\), got None"),
+        ("commands", {"function": "Flat"}, r"commands\.mine must return \[env, number\] = \(1, \.\.\.\), got \(1,\)"),
         ("commands", {"function": "Mute"}, r"commands\.mine must be a class with a method at\(time\)"),
         ("commands", {"function": "Beat", "rate": None}, r"commands\.mine: TypeError in terms\.py, line \d+: "),
     ],
@@ -209,7 +228,7 @@ def test_mistakes_in_own_terms_are_reported_with_term_and_line(package, kind, fi
 def test_a_curriculum_changes_own_terms(package):
     """A number of a term is changed by its path, whether the term is a function or a class."""
     env = make_env(find_task("walk", OWN), num_envs=1)
-    env.practise(**{"rewards.forward.weight": 2.0, "rewards.forward.target": 0.0, "shaping.airtime.longest": 0.1})
+    env.set_terms(**{"rewards.forward.weight": 2.0, "rewards.forward.target": 0.0, "shaping.airtime.longest": 0.1})
     state = env.reset().set("action", torch.from_numpy(env.action_map.stand()).float()[None])
     assert env.step(state)["next", "reward_terms", "forward"].abs().item() < 0.4
     assert env.mdp.terms["shaping"]["airtime"].target.longest == 0.1

@@ -97,7 +97,7 @@ def test_the_phase_is_drawn_where_asked():
 def test_practice_changes_the_reward_and_the_ground():
     """A bonus is paid per speed and reported beside the paper's terms; tiles grow with the next episodes."""
     env = make_env(find_task("walk_terrain", {"shaping.speed_bonus": {"weight": 0.0}}), num_envs=2, seed=0)
-    env.practise(**{"shaping.speed_bonus.weight": 2.0, "events.terrain.height": 0.0})
+    env.set_terms(**{"shaping.speed_bonus.weight": 2.0, "events.terrain.height": 0.0})
     state, tiles = env.reset(), env.mdp.event("terrain")
     heights = [tiles._geom_pos[:, tiles._tiles, 2].max()]
     env._qvel[:, 0] = 0.1
@@ -106,14 +106,14 @@ def test_practice_changes_the_reward_and_the_ground():
     velocity = torch.from_numpy(env._qvel[:, :1]).clamp(-0.3, 0.3)
     torch.testing.assert_close(after["reward_terms", "speed_bonus"], (2.0 * velocity).float())
     torch.testing.assert_close(after["reward"], sum(after["reward_terms"].values()))
-    env.practise(**{"events.terrain.height": 0.01})
+    env.set_terms(**{"events.terrain.height": 0.01})
     env.reset()
     heights.append(tiles._geom_pos[:, tiles._tiles, 2].max())
     assert heights[1] - heights[0] > 0.005
     with pytest.raises(ValueError, match=r"the nearest is 'events\.terrain'"):
-        env.practise(**{"events.terain.height": 0.01})
+        env.set_terms(**{"events.terain.height": 0.01})
     with pytest.raises(ValueError, match=r"events\.terrain\.hight: unknown field; the nearest is 'height'"):
-        env.practise(**{"events.terrain.hight": 0.01})
+        env.set_terms(**{"events.terrain.hight": 0.01})
 
 
 def test_who_stands_still_falls_behind():

@@ -162,6 +162,17 @@ def test_losses_are_those_of_torchrl():
     torch.testing.assert_close(entropy, expected["entropy"], rtol=1e-6, atol=1e-6)
 
 
+def test_checkpoints_that_have_the_policy_twice_are_read():
+    """Earlier versions kept the policy's weights also as those of an actor; any other unknown weight is refused."""
+    sac, other = SAC(Pendulum(2), **SMALL), SAC(Pendulum(2), **SMALL, seed=1)
+    state = sac.state_dict()
+    twice = {f"actor.module.0.module.{name}": value for name, value in sac.network.state_dict().items()}
+    other.load_state_dict({**state, **twice})
+    assert all(torch.equal(a, b) for a, b in zip(sac.parameters(), other.parameters(), strict=True))
+    with pytest.raises(RuntimeError, match="Unexpected key"):
+        other.load_state_dict({**state, "another": state["log_temperature"]})
+
+
 def test_critics_find_the_value_of_a_known_chain():
     """With reward 1, discount 0.5 and termination half of the time, Q converges to 1 / (1 - 0.25) = 1.333."""
     sac = SAC(

@@ -16,7 +16,7 @@ from op3.envs import make_env
 from op3.policy import ActionMap, Manifest, PolicyBundle
 from op3.robot import load_robot
 from op3.tasks import find_task
-from op3.train import PPO, SAC, TD3, Algorithm, Practice, Progress, TrainSettings, evaluate, train
+from op3.train import PPO, SAC, TD3, Algorithm, Curriculum, Progress, TrainSettings, evaluate, train
 from op3.train.checkpoint import stop_requested
 
 LEARN = {
@@ -234,8 +234,8 @@ def test_a_run_does_not_go_on_as_another(tmp_path):
     [
         (lambda: TrainSettings(steps="many"), "steps must be a whole number, got 'many'"),
         (lambda: TrainSettings(seed=-1), "seed must be at least 0"),
-        (lambda: Practice({"height": [[0, 1], 2]}), "curricula.height.1 must be a list, got 2"),
-        (lambda: Practice({"height": [[9, 1.0], [3, 2.0]]}), "curricula.height lists pairs of steps and value, steps"),
+        (lambda: Curriculum({"height": [[0, 1], 2]}), "curricula.height.1 must be a list, got 2"),
+        (lambda: Curriculum({"height": [[9, 1.0], [3, 2.0]]}), "curricula.height lists pairs of steps and value"),
     ],
 )
 def test_settings_name_what_is_wrong(make, message):
@@ -274,14 +274,14 @@ def test_curricula_reach_the_environment(tmp_path):
     class Practising(Pendulum):
         given: list[float]
 
-        def practise(self, height: float) -> None:
+        def set_terms(self, height: float) -> None:
             self.given.append(height)
 
     env = Practising(16)
     env.given = []
-    schedule = Practice({"height": [[0, 1.0], [256, 2.0]]})
+    schedule = Curriculum({"height": [[0, 1.0], [256, 2.0]]})
     settings = dataclasses.replace(SETTINGS, steps=256)
-    train(SAC(env, **LEARN), env, lambda policy: {}, settings, MANIFEST, tmp_path, practice=schedule)
+    train(SAC(env, **LEARN), env, lambda policy: {}, settings, MANIFEST, tmp_path, curriculum=schedule)
     # before the first reset, before each of the four rollouts of 64 steps, and when episodes start over at the end
     assert env.given == [1.0, 1.0, 1.25, 1.5, 1.75, 2.0]
 
