@@ -69,7 +69,7 @@ class Curriculum:
     def __post_init__(self):
         for path, pairs in self.curricula.items():
             if not pairs or any(len(pair) != 2 for pair in pairs) or list(pairs) != sorted(pairs):
-                raise ValueError(f"curricula.{path} lists pairs of steps and value, steps rising, got {pairs}")
+                raise ValueError(f"curricula.{path} lists pairs of steps and value, with increasing steps, got {pairs}")
 
     def at(self, steps: int) -> dict[str, float]:
         """Values after so many steps, by path."""
