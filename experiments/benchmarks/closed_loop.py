@@ -1,12 +1,12 @@
-"""Whether a diagnosis closes its loop: known faults of stand-in robots, what is named, and the gap in three stages.
+"""Diagnose stand-in robots with hidden effects: findings, and the gap in three stages.
 
 python experiments/benchmarks/closed_loop.py --robot leg --seed 300
 python experiments/benchmarks/closed_loop.py --robot op3 --cases mild_dte,sound --seed 310
 python experiments/benchmarks/closed_loop.py --robot arm3 --seed 320 --out outputs/closed_loop.yaml
 
-Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. Windows of the
-runs that the diagnosis only shows are compared under the given model, the baseline fit, the returned model, and the
-model that is given the hidden effect, fitted in the same way. Each case has a process of its own.
+Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. The errors in
+windows of the held-out runs are those of the given model, the baseline fit, the returned model, and the model with the
+hidden effect, fitted in the same way. Each case has a process of its own.
 """
 
 import argparse
@@ -45,15 +45,15 @@ ARM = ("l_sho_pitch", "l_sho_roll", "l_el")
 
 
 def arm_suite(seed: int) -> list[Excitation]:
-    """A leg's suite for three joints of an arm, twice as far."""
-    known = load_robot(DEFAULT)
-    at = known.indices(ARM)
-    home, limits = known.home[at], known.limits[at]
+    """The leg's suite for three joints of an arm, with larger amplitudes."""
+    robot = load_robot(DEFAULT)
+    indices = robot.indices(ARM)
+    home, limits = robot.home[indices], robot.limits[indices]
     columns = [leg_joints().index(name) for name in ("r_hip_pitch", "r_hip_roll", "r_knee")]
     runs = []
     for run in leg_suite(seed):
-        away = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)
-        position = np.clip(home + 1.5 * away, limits[:, 0] + 0.02, limits[:, 1] - 0.02)
+        offset = run.motion.position[:, columns] - run.motion.position[:, columns].mean(0)
+        position = np.clip(home + 1.5 * offset, limits[:, 0] + 0.02, limits[:, 1] - 0.02)
         motion = Motion(run.motion.time, position, ARM, run.motion.name, robot="op3")
         runs.append(Excitation(motion, run.p_gain, run.d_gain, run.tilt, run.warm))
     return runs
@@ -66,13 +66,13 @@ PLACES = {
     "leg": {"strong": "r_knee", "loose": "r_hip_pitch", "end": "r_ank_pitch", "link": ("r_knee",)},
     "op3": {"strong": "r_knee", "loose": "r_hip_pitch", "end": "r_ank_pitch", "link": ("r_knee", "l_knee")},
 }
-"""Joints of each robot in which faults sit."""
+"""Joints of the faults, by robot."""
 
 Fault = Callable[[HiddenWorld, dict[str, Any]], tuple[str, HiddenWorld, tuple[Hidden, ...]]]
 
 
 def hidden(name: str, size: float, where: str) -> Fault:
-    """One effect in one place of the robot."""
+    """One effect in some joints."""
 
     def of(world: HiddenWorld, places: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
         joints = places[where] if isinstance(places[where], tuple) else (places[where],)
@@ -82,7 +82,7 @@ def hidden(name: str, size: float, where: str) -> Fault:
 
 
 def shared(name: str, base: str, **values: float) -> Fault:
-    """One effect of all joints that the given model lacks and the world has."""
+    """One effect of all joints that the given model does not include."""
 
     def of(world: HiddenWorld, _: dict[str, Any]) -> tuple[str, HiddenWorld, tuple[Hidden, ...]]:
         return base, world.replace(**values), (Hidden(name, next(iter(values.values()))),)
@@ -101,11 +101,11 @@ FAULTS: dict[str, Fault] = {
     "link_mass": hidden("link_mass", 0.08, "link"),
     "cable_spring": hidden("cable_spring", 0.15, "strong"),
 }
-"""What is hidden: the base model, the world and the effects beside it."""
+"""Hidden effects: the given model, the world, and the effects added to it."""
 
 
 def case_of(fault: str, robot: str, seed: int) -> Case:
-    """A robot drawn from a seed, with a fault."""
+    """A random robot with a fault."""
     base, world, effects = FAULTS[fault](HiddenWorld.random(seed, BENCH_RANGES), PLACES[robot])
     joints = tuple(str(joint.name) for joint in SETTINGS[robot].scene().joints)
     kind = "single" if effects else "null"
@@ -113,23 +113,23 @@ def case_of(fault: str, robot: str, seed: int) -> Case:
 
 
 def with_hidden_effect(search: Search, stage: NamingStage, hidden: Hidden) -> RobotModel | None:
-    """The model with an effect that is known to be there, its size and the base fitted as a finding's are; None where
-    that is no candidate: every baseline fit has its numbers."""
+    """The model with the hidden effect, fitted with the baseline like a finding; None if it is no candidate because the
+    baseline fit includes it."""
     names = search.reduction.engine.joints
-    place = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
+    hypothesis = hidden.name, tuple(sorted(names.index(joint) for joint in hidden.joints)) or None
     odds = stage.judge.scores(stage.fit)
-    there = [i for i, one in enumerate(stage.candidates) if one.hypothesis == place]
-    if not there:
+    indices = [i for i, candidate in enumerate(stage.candidates) if candidate.hypothesis == hypothesis]
+    if not indices:
         return None
-    number = max(there, key=lambda i: float(odds[i]))
-    with_it, alone = (stage.judge.fit(named, stage.fit.variances, rounds=2) for named in ([number], []))
-    step = (with_it.mean[:-1] - alone.mean)[: len(stage.base.point)]
-    best = search.refitted(stage, [Proposal(number, step, float(with_it.mean[-1]), with_it.variances)])[0][0].base
+    index = max(indices, key=lambda i: float(odds[i]))
+    fit, control = (stage.judge.fit(named, stage.fit.variances, rounds=2) for named in ([index], []))
+    step = (fit.mean[:-1] - control.mean)[: len(stage.base.point)]
+    best = search.refitted(stage, [Proposal(index, step, float(fit.mean[-1]), fit.variances)])[0][0].base
     return gauss_newton(search.reduction, best.coordinates, best.point, variances=best.fit.variances).model
 
 
 def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list[list[float]]:
-    """Root mean squares of windows of 0.2 s, by model: angle [mrad] and current [mA]."""
+    """RMS errors in windows of 0.2 s, by model: angle [mrad] and current [mA]."""
     engine, result = WindowResiduals(logs, windows=8 * len(logs)), []
     for model in models:
         values = model.tensors(engine.joints)["torque_constant"]
@@ -141,7 +141,7 @@ def window_errors(models: Sequence[RobotModel], logs: Sequence[Rollout]) -> list
 
 
 def diagnosed(case: Case) -> dict[str, Any]:
-    """What a diagnosis makes of a case; memory is that of its process at most, before the effect is given."""
+    """Diagnosis of a case; memory is the peak of its process before the model with the hidden effect is fitted."""
     torch.set_num_threads(1)
     logs = list(record_case(case))
     given, split = load_model(case.base), split_logs(logs, seed=0)

@@ -159,7 +159,7 @@ class Candidate:
         return model.with_values({f"{name}{at}": secant[name] for at, secant in secants.items() for name in shape})
 
 
-def candidates(
+def all_candidates(
     model: RobotModel,
     joints: Sequence[str],
     moving: Sequence[bool],

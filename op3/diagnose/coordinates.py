@@ -186,10 +186,7 @@ def other_forms(model: RobotModel, selected: Callable[[type[Effect]], bool] = la
 
 
 def base_coordinates(
-    model: RobotModel,
-    joints: Sequence[str],
-    moving: Sequence[bool] | None = None,
-    priors: Mapping[str, Usual] = CHAIN,
+    model: RobotModel, joints: Sequence[str], moving: Sequence[bool] | None = None, priors: Mapping[str, Usual] = CHAIN
 ) -> Coordinates:
     """The coordinates of a baseline fit: the model's parameters, the spread between servos, the measurement chain.
 

@@ -61,8 +61,8 @@ def doubts(base: Baseline) -> tuple[str, ...]:
         result.append(f"{words(entry.parameter)} hit its {end} bound ({value:.3g} {unit})".replace(" -)", ")"))
     for end in base.other_optima:
         if -end.gain < EQUAL_EVIDENCE and (far := different(base.coordinates, end.point, base.point)):
-            apart = f"-2 log evidence differs by {-end.gain:.1f}"
-            result.append(f"another start fits as well ({apart}) with other values of {', '.join(map(words, far))}")
+            change = f"-2 log evidence differs by {-end.gain:.1f}"
+            result.append(f"another start fits as well ({change}) with other values of {', '.join(map(words, far))}")
     return tuple(result)
 
 

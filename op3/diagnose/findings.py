@@ -7,20 +7,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from op3.diagnose.base import FEW_STEPS, Baseline, gauss_newton, refitted_in_bounds, step_priors
-from op3.diagnose.candidates import Candidate, Hypothesis, candidates, elementary, log_priors
+from op3.diagnose.candidates import Candidate, Hypothesis, all_candidates, elementary, log_priors
 from op3.diagnose.coordinates import Coordinates
 from op3.diagnose.doubts import at_bound, with_wider_bounds
 from op3.diagnose.held_out import Gain, HeldOut
 from op3.diagnose.judge import Judge, Rows, Variances, log_mass
-from op3.diagnose.naming import (
-    NamedEffect,
-    NamingStage,
-    Proposal,
-    Refit,
-    ScoredRefit,
-    best_refit,
-    coefficient_priors,
-)
+from op3.diagnose.naming import NamedEffect, NamingStage, Proposal, Refit, ScoredRefit, best_refit, coefficient_priors
 from op3.diagnose.reduction import COARSE, Reduction
 from op3.diagnose.relevance import gear_coordinates, relevance
 from op3.diagnose.starts import robust_costs
@@ -48,10 +40,7 @@ class Search:
     """
 
     def __init__(
-        self,
-        reduction: Reduction,
-        without: Sequence[str] = (),
-        progress: Callable[[float], None] = lambda share: None,
+        self, reduction: Reduction, without: Sequence[str] = (), progress: Callable[[float], None] = lambda share: None
     ):
         self.reduction, self.without, self.settings = reduction, tuple(without), reduction.settings
         self.progress = progress
@@ -59,16 +48,16 @@ class Search:
 
     def first(self, base: Baseline) -> NamingStage:
         """The linear model around a baseline with no effect named."""
-        found = self._candidates(base)
-        columns = self._columns(base, elementary(found), lambda share: self.progress(0.4 * share))
+        candidates = self._candidates(base)
+        columns = self._columns(base, elementary(candidates), lambda share: self.progress(0.4 * share))
         if base.clipped.any():  # new variances would treat the excess of a clipped joint as noise
-            return self._stage(base, (), found, columns, base.fit.variances, 0)
-        return self._stage(base, (), found, columns, None)
+            return self._stage(base, (), candidates, columns, base.fit.variances, 0)
+        return self._stage(base, (), candidates, columns, None)
 
     def _candidates(self, base: Baseline, named: Sequence[NamedEffect] = ()) -> tuple[Candidate, ...]:
         """All candidates but those of named hypotheses."""
         engine, hypotheses = self.reduction.engine, {effect.candidate.hypothesis for effect in named}
-        every = candidates(base.model, engine.joints, self.reduction.moving, engine.mirror, self.without)
+        every = all_candidates(base.model, engine.joints, self.reduction.moving, engine.mirror, self.without)
         return tuple(candidate for candidate in every if candidate.hypothesis not in hypotheses)
 
     def _columns(
@@ -81,16 +70,16 @@ class Search:
         self,
         base: Baseline,
         named: tuple[NamedEffect, ...],
-        found: tuple[Candidate, ...],
+        candidates: tuple[Candidate, ...],
         columns: Mapping[tuple, np.ndarray],
         variances: Variances | None,
         rounds: int = 6,
         reference: Rows | None = None,
     ) -> NamingStage:
         rows = self.reduction.rows(base.linear, list(columns.values()), reference)
-        priors = coefficient_priors(base, found, list(columns), rows, self.settings)
+        priors = coefficient_priors(base, candidates, list(columns), rows, self.settings)
         judge = Judge(rows, priors, self.settings)
-        return NamingStage(base, named, found, columns, judge, judge.fit(variances=variances, rounds=rounds))
+        return NamingStage(base, named, candidates, columns, judge, judge.fit(variances=variances, rounds=rounds))
 
     def run(self, base: Baseline) -> list[NamingStage]:
         """Stages with no effect named, one, two and so on, while the held-out density increases significantly."""
@@ -229,8 +218,8 @@ class Search:
         """The coordinates of the baseline and of a candidate, initially at a share of its secant."""
         candidate, coordinates = stage.candidates[index], stage.base.coordinates
         model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
-        more = candidate.coordinates(stage.base.model, coordinates.entries, share, self.settings)
-        return coordinates.extended(model, more)
+        further = candidate.coordinates(stage.base.model, coordinates.entries, share, self.settings)
+        return coordinates.extended(model, further)
 
     def _log_prior(self, stage: NamingStage, index: int, joined: Coordinates) -> float:
         """Log prior of a candidate's hypothesis, its coordinates' priors truncated to their bounds."""
@@ -342,12 +331,12 @@ class Search:
     def around(self, stage: NamingStage, base: Baseline, named: tuple[NamedEffect, ...]) -> NamingStage:
         """The linear model around a baseline with named effects, with new columns of the best candidates."""
         base = refitted_in_bounds(self.reduction, base)
-        odds, found = stage.judge.scores(stage.fit), self._candidates(base, named)
+        odds, candidates = stage.judge.scores(stage.fit), self._candidates(base, named)
         keys = {key for i in np.argsort(-odds)[:RELINEARISED] for key in stage.candidates[i].components}
-        parts = elementary(found)
+        parts = elementary(candidates)
         renewed = [part for part in parts if part.key in keys or part.key not in stage.columns]
         columns = {**stage.columns, **self._columns(base, renewed)}
-        return self._stage(base, named, found, {part.key: columns[part.key] for part in parts}, base.fit.variances)
+        return self._stage(base, named, candidates, {part.key: columns[part.key] for part in parts}, base.fit.variances)
 
     def _without_others(self, stage: NamingStage, kept: Sequence[NamedEffect], steps: int) -> Baseline:
         """The baseline with some of the named effects only, fitted from the point with all."""

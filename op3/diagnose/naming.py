@@ -124,11 +124,7 @@ class NamingStage:
 
 
 def coefficient_priors(
-    base: Baseline,
-    candidates: Sequence[Candidate],
-    keys: Sequence[tuple],
-    rows: Rows,
-    settings: Settings = SETTINGS,
+    base: Baseline, candidates: Sequence[Candidate], keys: Sequence[tuple], rows: Rows, settings: Settings = SETTINGS
 ) -> CoefficientPriors:
     """Priors of the baseline's coordinates and of the candidates.
 
@@ -142,7 +138,7 @@ def coefficient_priors(
         rows: the linear model.
         settings: tuned constants.
     """
-    own, index, count = base.priors, {key: i for i, key in enumerate(keys)}, len(base.point)
+    steps, index, count = base.priors, {key: i for i, key in enumerate(keys)}, len(base.point)
     low, high, slab = np.array([c.size_range(base.model, settings) for c in candidates]).reshape(-1, 3).T
     torque = _rms_torques(rows, count, len(keys))
     spike, secants = np.full(len(keys), 1e-9), secant_counts(candidates)
@@ -155,15 +151,15 @@ def coefficient_priors(
     active = np.array([max((torque[i] for i in member), default=0.0) > NEGLIGIBLE for member in members], bool)
     unbounded = np.full(len(keys), np.inf)
     return CoefficientPriors(
-        np.concatenate([own.mean, np.zeros(len(keys))]),
-        np.concatenate([own.deviation, spike]),
+        np.concatenate([steps.mean, np.zeros(len(keys))]),
+        np.concatenate([steps.deviation, spike]),
         tuple(tuple(count + i for i in member) for member in members),
         slab,
         low,
         high,
         np.where(active, log_priors(candidates) - np.log(secants), -np.inf),
-        np.concatenate([own.lower, -unbounded]),
-        np.concatenate([own.upper, unbounded]),
+        np.concatenate([steps.lower, -unbounded]),
+        np.concatenate([steps.upper, unbounded]),
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from op3.common.sample_intervals import bootstrap_interval
-from op3.diagnose.split import LogSplit
+from op3.diagnose.split import LogSplit, repeats
 from op3.identify.loss import TrajectoryLoss
 from op3.replay.free_runs import FreeRuns, by_second
 from op3.rollout import Rollout
@@ -14,6 +14,9 @@ from op3.servo import RobotModel
 
 REPEATS = 2
 """Budget: repeats of one command that are simulated; the noise floor uses all of them."""
+
+BEGINNING = 5.0
+"""Display: simulated duration of a log of another mount [s]; a robot on the floor soon diverges from its log."""
 
 
 def show(
@@ -56,6 +59,24 @@ def show(
         gap["/".join(key)] = entry
     losses = {"name": "paper_eq7", "before": float(loss(of_before)[0]), "after": float(loss(of_after)[0])}
     return {"gap": gap, "loss": losses, "given": of_given, "before": of_before, "after": of_after}
+
+
+def on_other_mounts(
+    before: RobotModel, after: RobotModel, others: dict[str, list[Rollout]], seed: int = 0
+) -> dict[str, dict[str, Any]]:
+    """Gap and loss of two models on the first `BEGINNING` seconds of logs to which neither was fitted, by mount.
+
+    Returns:
+        By mount the number of ``logs``, the ``seconds`` of the longest, and ``gap`` and ``loss`` as in a verdict.
+    """
+    result = {}
+    for mount, logs in others.items():
+        starts = [float(log.array("time")[0, 0]) for log in logs]
+        parts = tuple(log.between(start, start + BEGINNING) for log, start in zip(logs, starts, strict=True))
+        shown = show(before, after, LogSplit((), parts, repeats(parts)), seed=seed)
+        longest = max(part.duration for part in parts)
+        result[mount] = {"logs": len(parts), "seconds": longest, "gap": shown["gap"], "loss": shown["loss"]}
+    return result
 
 
 def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:

@@ -1,4 +1,4 @@
-"""Split of the logs: runs that are fitted, and held-out runs on which the gap is reported."""
+"""Which logs are diagnosed, and their split into fitted runs and held-out runs, on which the gap is reported."""
 
 import re
 from collections.abc import Sequence
@@ -24,6 +24,9 @@ FEW_ROWS, SAME_LENGTH = 3, 0.01
 SHORTEST = 2.0
 """Shorter logs are not used [s]."""
 
+MOUNT_ORDER = ("stand", "pendulum", "floor")
+"""Mounts in the order of preference: the stand shows most about servos."""
+
 FEWEST_RUNS = 5
 """Fewer runs are cut in time instead of being held out or left out."""
 
@@ -41,6 +44,46 @@ class LogSplit:
     fit: tuple[Rollout, ...]
     show: tuple[Rollout, ...]
     repeats: tuple[tuple[int, ...], ...] = ()
+
+
+def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, list[Rollout]]]:
+    """The logs that are diagnosed, and the logs of other mounts, on which the gap is reported.
+
+    Raises:
+        LogError: if logs are of different robots, servos or joints, or of a bench and of a robot.
+    """
+    by_mount: dict[str, list[Rollout]] = {}
+    for log in logs:
+        by_mount.setdefault(log.metadata.mount, []).append(log)
+    if "pendulum" in by_mount and len(by_mount) > 1:
+        raise LogError(
+            f"logs of a bench are mixed with logs of a robot ({', '.join(sorted(by_mount))})",
+            "diagnose them separately",
+            source=by_mount["pendulum"][0].metadata.recording,
+            column="mount",
+        )
+    fields = {"robot_file": "robots", "robot": "kinds of robots", "servo": "servos"}
+    for field, what in fields.items():
+        of_robot = field == "robot_file"
+        values = {log.robot.reference if of_robot else getattr(log.metadata, field): log for log in logs}
+        values.pop(None, None)
+        if len(values) > 1:
+            raise LogError(
+                f"the logs are of different {what} ({', '.join(sorted(values))})",
+                "diagnose the logs of each separately",
+                source=list(values.values())[-1].metadata.recording,
+                column=field,
+            )
+    for log in logs:
+        if log.joints != by_mount[log.metadata.mount][0].joints:
+            raise LogError(
+                f"its joints differ from those of {by_mount[log.metadata.mount][0].metadata.recording}",
+                "diagnose logs of one set of joints at a time",
+                source=log.metadata.recording,
+                column="joints",
+            )
+    first = next((mount for mount in MOUNT_ORDER if mount in by_mount), next(iter(by_mount), ""))
+    return by_mount.pop(first, []), by_mount
 
 
 def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:

@@ -66,8 +66,8 @@ def fit_base(
 
     def first_fits() -> Iterator[Baseline]:
         for number, forms in enumerate(groups):
-            found, point = search(thin, coordinates, rng, forms)
-            yield gauss_newton(thin, found, with_servo_factors(thin, found, point), FEW_STEPS)
+            start, point = search(thin, coordinates, rng, forms)
+            yield gauss_newton(thin, start, with_servo_factors(thin, start, point), FEW_STEPS)
             progress(0.5 * (number + 1) / len(groups))
         if len(groups) == 1:
             yield gauss_newton(thin, coordinates, coordinates.start, FEW_STEPS)
@@ -167,10 +167,7 @@ def _with_initial(base: Baseline, stages: Sequence[Stage]) -> np.ndarray:
 
 
 def search(
-    reduction: Reduction,
-    coordinates: Coordinates,
-    rng: np.random.Generator,
-    forms: Sequence[RobotModel] = (),
+    reduction: Reduction, coordinates: Coordinates, rng: np.random.Generator, forms: Sequence[RobotModel] = ()
 ) -> tuple[Coordinates, np.ndarray]:
     """Evolution strategy over the shared parameters, logarithmic where they are positive, and the forms of the laws.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from op3.diagnose.base import gauss_newton
-from op3.diagnose.candidates import candidates, log_priors, mirror_pairs, secant_counts
+from op3.diagnose.candidates import all_candidates, log_priors, mirror_pairs, secant_counts
 from op3.diagnose.coordinates import CHAIN, base_coordinates, other_forms, with_chain
 from op3.diagnose.judge_settings import SETTINGS
 from op3.diagnose.reduction import Reduction
@@ -31,7 +31,7 @@ def reduction() -> Reduction:
 
 def test_every_place_of_a_leg_and_no_number_of_the_base():
     """Effects of single joints in each, laws of all joints once; what the base fits is no candidate for all."""
-    found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
+    found = all_candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
     places = {(one.effect.name, one.joints) for one in found}
     assert {("backlash", (j,)) for j in range(6)} < places
     assert ("quadratic_drag", None) in places
@@ -52,7 +52,7 @@ def test_a_neutral_secant_is_a_column_of_zeros(reduction):
     """At none of an effect nothing changes, bit for bit, whichever effect it is."""
     model = with_chain(load_model("paper"))
     base, sound = model.tensors(LEG_JOINTS), reduction.engine.errors(model)
-    for one in {c.effect.name: c for c in candidates(model, LEG_JOINTS, EVERY, {})}.values():
+    for one in {c.effect.name: c for c in all_candidates(model, LEG_JOINTS, EVERY, {})}.values():
         start = one.model.tensors(LEG_JOINTS) | base
         assert (one.effect.name in model.effect_names) <= all(
             parameter(name).neutral is not None for name in one.secant
@@ -67,7 +67,7 @@ def test_columns_stay_in_the_limb(reduction):
     model = with_chain(load_model("paper"))
     coordinates = base_coordinates(model, LEG_JOINTS)
     linear = gauss_newton(reduction, coordinates, coordinates.start, steps=0).linear
-    found = [c for c in candidates(model, LEG_JOINTS, EVERY, {}) if c.effect.name == "quadratic_drag"]
+    found = [c for c in all_candidates(model, LEG_JOINTS, EVERY, {}) if c.effect.name == "quadratic_drag"]
     columns = {one.joints: column for one, column in zip(found, reduction.columns(linear, found), strict=True)}
     knee = LEG_JOINTS.index("r_knee")
     own = np.square(columns[(knee,)]).sum((1, 2))
@@ -79,7 +79,7 @@ def test_columns_stay_in_the_limb(reduction):
 def test_pairs_are_sums_of_their_joints():
     """Each of two parts, one in each joint, where an axis turns the other way with angles at their mirror image."""
     mirror = {"r_knee": ("r_ank_pitch", -1), "r_ank_pitch": ("r_knee", -1)}
-    found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, mirror)
+    found = all_candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, mirror)
     by_key = {one.key: one for one in found}
     pairs = [one for one in found if one.scope == "pair"]
     assert pairs
@@ -99,7 +99,7 @@ def test_pairs_are_sums_of_their_joints():
 
 def test_places_and_secants_share_one_prior():
     """All hypotheses of a scope together have the scope's prior, for laws of one number."""
-    found = candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
+    found = all_candidates(with_chain(load_model("paper")), LEG_JOINTS, EVERY, {})
     priors = np.exp(log_priors(found)) / secant_counts(found)
     for name in ("quadratic_drag", "cable_spring"):
         mine = [i for i, one in enumerate(found) if one.effect.name == name and one.scope == "joint"]
@@ -110,7 +110,7 @@ def test_places_and_secants_share_one_prior():
 def test_plausible_sizes_stay_within_physics():
     """Losses are not negative, efficiencies not above one, and a slab has room within its ends."""
     base = with_chain(load_model("paper_without_dte"))
-    for one in candidates(base, LEG_JOINTS, EVERY, {}):
+    for one in all_candidates(base, LEG_JOINTS, EVERY, {}):
         low, high, slab = one.size_range(base, SETTINGS)
         assert low <= 0.0 <= high
         assert slab > 0

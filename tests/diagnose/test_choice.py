@@ -18,7 +18,7 @@ from op3.diagnose.base import (
     unfitted,
     within_sound_spread,
 )
-from op3.diagnose.candidates import candidates
+from op3.diagnose.candidates import all_candidates
 from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_robot_spread, with_student_spread
 from op3.diagnose.doubts import chain_deviations, doubts, free_and_expected
 from op3.diagnose.findings import Search
@@ -135,7 +135,7 @@ def test_the_size_of_a_gap_is_found_from_less_than_half_of_it():
     reduction = Reduction(WindowResiduals(planned_suite(loose, runs), windows=18))
     base, joints = unfitted(reduction, sound), reduction.engine.joints
     place = "backlash", (joints.index("r_knee"),)
-    one = next(each for each in candidates(base.model, joints, reduction.moving, {}) if each.hypothesis == place)
+    one = next(each for each in all_candidates(base.model, joints, reduction.moving, {}) if each.hypothesis == place)
     own = one.coordinates(base.model, base.coordinates.entries, 0.003 / one.secant[one.size_parameter], Settings())
     coordinates = base.coordinates.extended(one.switched_on(base.model, joints), own)
     start = np.concatenate([base.point, coordinates.start[len(base.point) :]])
