@@ -61,7 +61,7 @@ def test_the_numbers_hold_both_objectives_fresh_episodes_and_places_in_table_i(t
     )
     assert "Candidates qualify if their excitation loss is at most 1.25 times" in text
     assert "chance alone would leave 5" in text
-    for label in ("excitation only", "re-identified", "actual", "Pareto front", "normalised by Table I"):
+    for label in ("excitation only", "re-identified", "actual", "Pareto front", "ranges of Table I"):
         assert label in text
 
 
