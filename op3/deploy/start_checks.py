@@ -275,7 +275,7 @@ class StartChecks:
             bus.clock.sleep_until(bus.clock.now() + 0.008)
         if len(blocks) < 2:
             self._blame_adapter()
-            raise Failed(f"{SAMPLES} readings contain {len(blocks)} different block;  switch the power off and on")
+            raise Failed(f"{SAMPLES} readings contain {len(blocks)} different block; switch the power off and on")
         assert state.orientation is not None
         assert state.linear_acceleration is not None
         (roll, pitch), force = np.rad2deg(state.orientation[:2]), state.linear_acceleration

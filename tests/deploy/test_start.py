@@ -38,7 +38,7 @@ def overloaded(robot):
 FAILURES = {
     "homing": (
         put("l_knee", "homing_offset", 150),
-        r"homing offset: not as expected: l_knee 150 \(up to \+0.23 rad\), left behind.*limits.homing_offset=150",
+        r"homing offset: not as expected: l_knee 150 \(up to \+0.23 rad\), set by another program.*limits.homing_offset=150",
     ),
     "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: not as expected: l_knee 400; .*mode=setup"),
     "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not as expected: l_knee 30"),
@@ -75,7 +75,7 @@ FAILURES = {
     "error": (dict(prepare=overloaded), r"hardware errors: r_knee \(overload\)"),
     "voltage": (dict(faults=Faults(scheduled=(BrownOut(0.0, voltage=10.2),))), "10.2 V at .* charge to at least 10.5"),
     "angle": (dict(prepare=outside), "l_knee is at 2.40 rad, outside its soft limits"),
-    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings hold 1 different block"),
+    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings contain 1 different block"),
     "tilted": (dict(prepare=lean), "IMU: roll 60 deg.* put the robot upright"),
 }
 
