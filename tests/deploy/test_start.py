@@ -38,7 +38,7 @@ def overloaded(robot):
 FAILURES = {
     "homing": (
         put("l_knee", "homing_offset", 150),
-        r"homing offset: not as expected: l_knee 150 \(up to \+0.23 rad\), set by another program.*limits.homing_offset=150",
+        r"homing offset: not as expected: l_knee 150 \(up to \+0.23 rad\), set by .*limits.homing_offset=150",
     ),
     "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: not as expected: l_knee 400; .*mode=setup"),
     "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not as expected: l_knee 30"),
