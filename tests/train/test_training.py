@@ -235,10 +235,7 @@ def test_a_run_does_not_go_on_as_another(tmp_path):
         (lambda: TrainSettings(steps="many"), "steps must be a whole number, got 'many'"),
         (lambda: TrainSettings(seed=-1), "seed must be at least 0"),
         (lambda: Curriculum({"height": [[0, 1], 2]}), "curricula.height.1 must be a list, got 2"),
-        (
-            lambda: Curriculum({"height": [[9, 1.0], [3, 2.0]]}),
-            "curricula.height lists pairs of steps and value, with inc",
-        ),
+        (lambda: Curriculum({"height": [[9, 1.0], [3, 2.0]]}), "lists pairs of steps and value, with increasing steps"),
     ],
 )
 def test_settings_name_what_is_wrong(make, message):
