@@ -222,7 +222,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "the goal recorded": (copy("joint_0.target", "joint_0.position"), r"every value equals the command"),
     "a Unix time as float32": (
         edit("time", lambda v: np.float32(v + 1.7e9) * 1.0),
-        r"and so do \d+ rows.* more digits",
+        r"as in \d+ rows.* more digits",
     ),
 }
 
