@@ -12,7 +12,7 @@ from op3.diagnose.naming import SIMILAR, NamingStage
 from op3.diagnose.verdict import separating
 from op3.servo.effect import parameter
 
-if TYPE_CHECKING:  # which itself reports what its logs do not show
+if TYPE_CHECKING:  # imports this module
     from op3.diagnose.diagnosis import Diagnosis
 
 SIZES = np.geomspace(0.02, 20.0, 60)
