@@ -239,8 +239,8 @@ class ServoMake(Record):
         """Torque per current at the output [N m/A]."""
         return self.motor.gear_ratio.si * self.motor.torque_constant.si
 
-    def stall_torque(self, voltage: float | None = None) -> float:
-        """Torque at standstill under full duty [N m], at a supply voltage [V] or the nominal one."""
+    def ideal_stall_torque(self, voltage: float | None = None) -> float:
+        """Torque at standstill under full duty, without losses [N m], at a supply voltage [V] or the nominal one."""
         return self.output_constant * (voltage or self.supply.si) / self.motor.terminal_resistance.si
 
     def stiffness(self, voltage: float | None = None) -> float:
@@ -248,7 +248,7 @@ class ServoMake(Record):
         if self.loop == "current":
             return self.output_constant
         assert self.position_law is not None
-        return self.position_law.error_gain.si * self.stall_torque(voltage)
+        return self.position_law.error_gain.si * self.ideal_stall_torque(voltage)
 
     def stands(self, voltage: float) -> bool:
         """Whether a supply voltage [V] is within its limits."""

@@ -194,7 +194,7 @@ class HiddenServos:
 
 def _stall(make: ServoMake) -> float:
     """Torque of the stalled motor at its usual supply, without losses [N m]."""
-    return make.stall_torque()
+    return make.ideal_stall_torque()
 
 
 def _softer(servos: Records, effect: Hidden) -> dict[str, Array | float]:

@@ -47,8 +47,7 @@ def test_every_make_is_plausible(name):
     """Its stall torque is what its motor's constants give, within what gears lose and data sheets round."""
     make = load_servo(name)
     assert make.name == name
-    torque = make.output_constant * (make.limits.stall_torque.at or make.supply.si) / make.motor.terminal_resistance.si
-    assert 0.4 < make.limits.stall_torque.si / torque < 1.35
+    assert 0.4 < make.limits.stall_torque.si / make.ideal_stall_torque(make.limits.stall_torque.at) < 1.35
     assert 1e-5 < make.motor.armature.si < 0.1
 
 
@@ -57,6 +56,19 @@ def test_a_new_make_is_one_file(tmp_path):
     make = load_servo(written(tmp_path))
     assert make.limits.no_load_speed.si == pytest.approx(2 * pi)
     assert make.output_constant == pytest.approx(1.0)
+
+
+def test_a_servo_that_closes_its_loop_is_stiffer_at_a_higher_voltage(tmp_path):
+    """1 N m/A times 12 V over 4 ohm are 3 N m; 0.5 per rad of it are 1.5 N m/rad, and 1 N m/rad at 8 V."""
+    current = load_servo(written(tmp_path))
+    assert current.ideal_stall_torque() == pytest.approx(3.0)
+    assert current.stiffness(8.0) == current.stiffness() == pytest.approx(1.0)
+    figures = {"error_gain": "0.5, unit: 1/rad", "max_duty": "1", "goal_speed": "30, unit: rad/s", "gain": "1"}
+    law = "".join(f"  {name}: {{value: {figure}, source: sheet}}\n" for name, figure in figures.items())
+    (other := tmp_path / "firmware").mkdir()
+    firmware = load_servo(written(other, **{"loop: current": f"loop: firmware\nposition_law:\n{law.rstrip()}"}))
+    assert firmware.stiffness() == pytest.approx(1.5)
+    assert firmware.stiffness(8.0) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def gyroscope(view: View) -> Found:
         own, ratio, other = fit.own[axis], float(fit.ratio[axis, axis]), fit.correlation[:, axis]
         whose, odd, error = int(np.abs(other).argmax()), is_unit(ratio), False
         least, most = (0.5, 2.0) if abs(own) < 0.97 else (0.75, 1.35)
-        swapped = abs(other[whose]) > 0.9 and 1 - abs(other[whose]) < 0.1 * (1 - abs(own))
+        swapped = whose != axis and abs(other[whose]) > 0.9 and 1 - abs(other[whose]) < 0.1 * (1 - abs(own))
         if moving[axis] and abs(own) > 0.9 and not least < ratio < most and (axes == 3 or odd):
             unit, error = as_if(("it", ratio, "rad/s"), tolerance=near), odd
             cause = " with the sign reversed" if abs(ratio + 1) < 0.3 else unit
