@@ -104,7 +104,7 @@ def within_sound_spread(reduction: Reduction, base: Baseline) -> Baseline:
     The residual changes to first order only and the variances are kept: near a joint that sticks, no linearisation
     predicts the effect of the clipped difference, and new variances would treat all of it as noise.
     """
-    coordinates = with_sound_spread(base.coordinates)
+    coordinates = with_sound_spread(base.coordinates, reduction.settings)
     step = np.clip(base.point, coordinates.low, coordinates.high) - base.point
     columns = np.moveaxis(base.linear.jacobian, 0, 1)
     change = np.stack([np.tensordot(step, reduction.clipped(of_joint), 1) for of_joint in columns])

@@ -129,7 +129,7 @@ class Candidate:
         joints = self.joints if parameter(self.size_parameter).per_joint else None
         bounds = sorted((low * amount, high * amount))
         start = float(np.clip(share * amount, bounds[0], bounds[1]))
-        size = Coordinate(self.size_parameter, joints, *bounds, start, 0.0, deviation * abs(amount), "add")
+        size = Coordinate(self.size_parameter, joints, bounds[0], bounds[1], start, 0.0, deviation * abs(amount), "add")
         shared = {entry.parameter for entry in base if entry.joints is None}
         shape = [p for p in self.effect.parameters if p.neutral is None]
         shape = [p for p in shape if p.name not in shared or (self.joints and p.per_joint)]

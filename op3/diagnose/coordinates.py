@@ -1,12 +1,13 @@
 """Parameters of the baseline fit with their priors: shared parameters, the spread between servos, measurement chain."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
 import torch
-from scipy.stats import norm
+from scipy.stats import norm, t
 from torch import Tensor
 
 from op3.diagnose.judge_settings import Settings
@@ -15,8 +16,8 @@ from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia
 
 SPREAD_LIMIT = 3.0
-"""Standard deviations by which a servo of a sound robot may differ; a larger difference must be explained by a
-candidate."""
+"""Normal standard deviations by which a servo of a sound robot may differ; a larger difference must be explained by a
+candidate. With few servos the corresponding quantile of Student's distribution applies."""
 
 WIDEST = 10.0
 """Largest ratio between a fitted parameter outside the catalogue's range and its given value. Numerical: hobby servos
@@ -287,12 +288,20 @@ def with_student_spread(coordinates: Coordinates, tails: float) -> Coordinates:
     return replace(coordinates, entries=tuple(map(student, coordinates.entries)))
 
 
-def with_sound_spread(coordinates: Coordinates) -> Coordinates:
-    """Normal priors and the bounds of a sound robot for the deviations of servos: a larger deviation is a fault."""
+def with_sound_spread(coordinates: Coordinates, settings: Settings) -> Coordinates:
+    """Priors and bounds of a sound robot for the deviations of servos: a larger deviation is a fault.
+
+    The spread is estimated from few servos, so that another servo of a sound robot is expected with Student's
+    distribution, whose degrees of freedom are the servos and what the prior of the spread counts for.
+    """
+    servos = Counter(entry.parameter for entry in coordinates.entries if entry.per_servo)
 
     def sound(entry: Coordinate) -> Coordinate:
-        reach = SPREAD_LIMIT * entry.deviation
-        return replace(entry, low=-reach, high=reach, tails=inf) if entry.per_servo else entry
+        if not entry.per_servo:
+            return entry
+        freedom = servos[entry.parameter] + 1 / settings.unmodelled_spread**2
+        reach = float(t.ppf(norm.cdf(SPREAD_LIMIT), freedom)) * entry.deviation
+        return replace(entry, low=-reach, high=reach, tails=freedom)
 
     return replace(coordinates, entries=tuple(map(sound, coordinates.entries)))
 

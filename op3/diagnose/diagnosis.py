@@ -223,12 +223,17 @@ class Diagnosis:
         return [self._finding(reduction, stage, *pair) for pair in zip(stage.named, opened, strict=True)]
 
     def _finding(self, reduction: Reduction, stage: NamingStage, effect: NamedEffect, opened: float | None) -> Finding:
-        """A finding from a named effect, which shares its probability with its rivals."""
+        """A finding from a named effect, which shares its probability with its rivals.
+
+        A rival's odds fall with the finding's held-out gain over it, and by a factor of e for each `alarm` of log
+        evidence between them: differences below an alarm also occur between wrong laws.
+        """
         joints, base, candidate = reduction.engine.joints, stage.base, effect.candidate
         entries = base.coordinates.entries
         i = entries.index(effect.coordinates[0])
-        rival_gains = [max(rival.finding_gain.z, 0.0) for rival in effect.rivals]
-        share = np.exp(-self.settings.steepness * np.array([0.0, *rival_gains]))
+        s = self.settings
+        lead = [s.steepness * max(r.finding_gain.z, 0.0) + r.log_odds / s.alarm for r in effect.rivals]
+        share = np.exp(-np.array([0.0, *lead]))
         z = effect.gain.z if opened is None else min(effect.gain.z, opened)
         share = self._probability(z) * share / share.sum()
         alternatives = tuple(

@@ -25,7 +25,8 @@ class Settings:
         unmodelled: median of the log-normal prior of a joint's unmodelled torque [torque units].
         unmodelled_spread: standard deviation of its logarithm, also used for the spread between servos.
         features: number of random features of a joint's unmodelled torque; twice as many change no name.
-        alarm: log odds above which a candidate is proposed; sound robots rarely reach it.
+        alarm: log odds above which a candidate is proposed; sound robots rarely reach it. Among findings that
+            held-out runs do not distinguish, odds count in units of it.
         threshold: gain in standard errors over held-out runs at which a finding has probability one half.
         steepness: change of a finding's log odds per standard error.
         min_load: smallest relevant share of a joint's RMS torque.

@@ -60,10 +60,12 @@ class Rival:
     Attributes:
         candidate: effect and joints.
         finding_gain: the finding's gain over it.
+        log_odds: of the finding against it, by the evidence of the fitted windows.
     """
 
     candidate: Candidate
     finding_gain: Gain
+    log_odds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +195,11 @@ def best_refit(
     similar = [refit for refit in accepted if refit is leader or _similar(leader.density, refit.density, without)]
     equal = [refit for refit in similar if Gain.of(leader.density, refit.density).z < threshold]
     best = max(equal, key=lambda refit: refit.effect.log_odds)
-    rivals = [Rival(r.effect.candidate, Gain.of(best.density, r.density)) for r in equal if r is not best]
+    rivals = [
+        Rival(r.effect.candidate, Gain.of(best.density, r.density), best.effect.log_odds - r.effect.log_odds)
+        for r in equal
+        if r is not best
+    ]
     return best, tuple(rival for rival in rivals if rival.finding_gain.z < threshold)
 
 

@@ -19,7 +19,14 @@ from op3.diagnose.base import (
     within_sound_spread,
 )
 from op3.diagnose.candidates import all_candidates
-from op3.diagnose.coordinates import base_coordinates, other_forms, with_chain, with_robot_spread, with_student_spread
+from op3.diagnose.coordinates import (
+    base_coordinates,
+    other_forms,
+    with_chain,
+    with_robot_spread,
+    with_sound_spread,
+    with_student_spread,
+)
 from op3.diagnose.doubts import chain_deviations, doubts, free_and_expected
 from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
@@ -358,3 +365,13 @@ def test_a_law_of_the_gear_is_tried_again_once_all_else_is_fitted():
     assert repr(better.coordinates.model.effect("dte")) == repr(truth.effect("dte"))
     assert ends[0].gain > 10.0
     assert with_best_gear(reduction, thin, better, []) == (better, [])
+
+
+def test_few_servos_may_differ_by_more_than_their_own_spread_says():
+    """Three servos, whose spread is known with 3 + 4 degrees of freedom, may differ by 4.5 of its standard deviations
+    (Student's quantile at 0.99865), twenty by 3.3; a normal distribution allows 3."""
+    for joints, limit in ((LEG_JOINTS[:3], 4.53), ([f"joint_{i}" for i in range(20)], 3.34)):
+        coordinates = base_coordinates(with_chain(load_model("paper")), joints)
+        servo = next(e for e in with_sound_spread(coordinates, Settings()).entries if e.per_servo)
+        assert servo.high / servo.deviation == pytest.approx(limit, abs=0.01)
+        assert servo.tails == len(joints) + 4

@@ -201,7 +201,9 @@ def lets_go(view: View) -> Found:
         return
     reported = {*commands_stop(view)}
     for key, values, gain in view.drives:
-        for joint in range(len(view.joints)) if gain is not None else ():
+        if gain is None:
+            continue
+        for joint in range(len(view.joints)):
             law = np.column_stack([-gain[:, joint] * view.error[:, joint], view.speed[:, joint]])
             on, given = view.driven[:, joint], values[:, joint]
             wanted = law @ fitted(law[on], given[on])
