@@ -35,7 +35,7 @@ class LocalOptimum:
     """End of one start of the baseline fit.
 
     Attributes:
-        coordinates: of the fit, with the forms of its laws.
+        coordinates: fitted parameters, with the forms of the laws.
         point: fitted values, ``[coordinate]``.
         gain: -2 log evidence of the first start minus its own.
     """

@@ -84,7 +84,7 @@ class ChainDeviation:
     """Deviation of a parameter of the measurement chain from its expected value.
 
     Attributes:
-        index: of the baseline's coordinate.
+        index: index of the baseline's coordinate.
         log_odds: against the expected value.
         deviation: standard deviation of the value in the logs.
         expected: the coordinate with the bounds and the prior of the expected value.

@@ -26,7 +26,7 @@ def features(engine: WindowResiduals, joints: np.ndarray, torque_unit: float, se
     Args:
         engine: windows of logs.
         joints: columns.
-        torque_unit: [N m].
+        torque_unit: unit of torque features [N m].
         settings: tuned constants.
     """
     motion, by_window, ticks = engine.motion, engine.by_window, engine.ticks

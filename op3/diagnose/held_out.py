@@ -128,9 +128,9 @@ def log_density(
 
     Args:
         residual: ``[window, row]``.
-        variance: of sensors and windows on the edge of sticking, ``[window, row]``; infinite where not measured.
-        features: of the unmodelled torque, ``[window, row, feature]``.
-        kinds: of the rows.
+        variance: variance of sensors and of sticking, ``[window, row]``; infinite where not measured.
+        features: features of the unmodelled torque, ``[window, row, feature]``.
+        kinds: kinds of the rows, as of `Rows`.
         noise: standard deviations by kind.
         unmodelled: scale of the unmodelled torque.
         tails: degrees of freedom of Student's noise.

@@ -32,15 +32,15 @@ class Rows:
 
     Attributes:
         joints: names.
-        kinds: of every row of a window: 0 mean torque, 1 differences of torque, 2 mean current, 3 its differences,
+        kinds: kind of every row of a window: 0 mean torque, 1 differences of torque, 2 mean current, 3 its differences,
             4 mean difference of reported velocity and rate of the angle, 5 its differences, ``[row]``.
         residual: residual of the baseline [torque units], ``[joint, window, row]``.
-        variance: of the sensors and of windows on the edge of sticking, ``[joint, window, row]``; infinite where
-            nothing was measured.
+        variance: variance of the sensors and of windows on the edge of sticking, ``[joint, window, row]``; infinite
+            where nothing was measured.
         features: features of the unmodelled torque, ``[joint, window, row, feature]``.
-        coefficients: by joint, indices of the coefficients that change its rows, ``[coefficient]``.
-        design: by joint, their columns, ``[coefficient, window, row]``. Coefficients are the baseline's, then those of
-            the elementary candidates (of one joint or of all).
+        coefficients: indices of the coefficients that change the rows of each joint, ``[coefficient]``.
+        design: columns of these coefficients, ``[coefficient, window, row]``. Coefficients are the baseline's, then
+            those of the elementary candidates (of one joint or of all).
     """
 
     joints: tuple[str, ...]
@@ -63,7 +63,7 @@ class CoefficientPriors:
         slab: standard deviation of the slab, ``[candidate]``.
         low: smallest plausible size, ``[candidate]``.
         high: largest plausible size, ``[candidate]``.
-        log_prior: of the candidate's hypothesis, ``[candidate]``.
+        log_prior: log prior of the candidate's hypothesis, ``[candidate]``.
         lower: lower bounds, ``[coefficient]``.
         upper: upper bounds, ``[coefficient]``.
     """
@@ -98,11 +98,11 @@ class Posterior:
     """The posterior of a linear fit.
 
     Attributes:
-        mean: of the coefficients, followed by the slabs of the named candidates.
+        mean: posterior mean of the coefficients, followed by the slab sizes of the named candidates.
         precision: matrix of both.
         evidence: log evidence of the rows.
-        feature_weights: by joint, of the features of its unmodelled torque, ``[feature]``.
-        variances: under which it holds.
+        feature_weights: weights of the features of the unmodelled torque of each joint, ``[feature]``.
+        variances: estimated variances.
     """
 
     mean: np.ndarray

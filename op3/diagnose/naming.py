@@ -26,10 +26,10 @@ class Proposal:
     """A candidate with its size in the linear model.
 
     Attributes:
-        index: of the candidate.
+        index: index of the candidate.
         step: change of the baseline's coordinates with it, ``[coordinate]``.
-        share: of its secant.
-        variances: of the linear model with it.
+        share: share of its secant.
+        variances: variances of the linear model with it.
     """
 
     index: int
@@ -43,9 +43,9 @@ class Refit:
     """The baseline refitted with a candidate in the nonlinear simulation.
 
     Attributes:
-        log_odds: by the evidence of the fitted windows.
+        log_odds: log odds by the evidence of the fitted windows.
         base: the fit.
-        index: of the candidate.
+        index: index of the candidate.
     """
 
     log_odds: float
@@ -75,7 +75,7 @@ class NamedEffect:
     Attributes:
         candidate: effect and joints.
         coordinates: its coordinates in the fit, the size first.
-        log_odds: by the evidence of the fitted windows when it was named.
+        log_odds: log odds by the evidence of the fitted windows when it was named.
         gain: held-out gain of the model with it over the model without it.
         relevance: torque that it produces.
         rivals: candidates that are not distinguishable from it.
@@ -112,7 +112,7 @@ class NamingStage:
         base: the fit, the coordinates of the named effects last.
         named: the named effects.
         candidates: all other candidates.
-        columns: of the elementary candidates by key, ``[joint, window, row]``.
+        columns: columns of the elementary candidates by key, ``[joint, window, row]``.
         judge: the linear model.
         fit: its posterior with no further effect.
     """
@@ -136,7 +136,7 @@ def coefficient_priors(
     Args:
         base: the baseline.
         candidates: the candidates.
-        keys: of the elementary candidates, in the order of their columns.
+        keys: keys of the elementary candidates, in the order of their columns.
         rows: the linear model.
         settings: tuned constants.
     """

@@ -64,10 +64,10 @@ class Linearisation:
     """The rows of all windows to first order around a point of the baseline.
 
     Attributes:
-        coordinates: of the baseline.
+        coordinates: parameters of the baseline.
         point: expansion point, ``[coordinate]``.
-        reducers: by limb.
-        variance: of the torques by limb [torque units^2], ``[window, joint]``.
+        reducers: reduction of each limb.
+        variance: variance of the torques of each limb [torque units^2], ``[window, joint]``.
         residual: rows at the point, measured minus predicted, ``[joint, window, row]``.
         jacobian: derivatives of the prediction, ``[coordinate, joint, window, row]``.
     """
@@ -343,7 +343,7 @@ class Reduction:
 
         Args:
             linear: the linearised baseline.
-            columns: of elementary candidates, ``[joint, window, row]``.
+            columns: columns of elementary candidates, ``[joint, window, row]``.
             reference: rows whose variances are used, so that evidences are comparable.
         """
         torque, current, rate = (self.kinds // 2 == group for group in range(3))

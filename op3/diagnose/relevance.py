@@ -37,8 +37,8 @@ def relevance(reduction: Reduction, base: Baseline, index: int, rows: Rows, rela
     Args:
         reduction: windows of the fitted runs.
         base: the fitted model.
-        index: of the coordinate that is the effect's size.
-        rows: around the model, whose variance is that of the sensors and of windows on the edge of sticking.
+        index: index of the coordinate that is the effect's size.
+        rows: rows of the model, with the variance of the sensors and of windows on the edge of sticking.
         relatives: indices of the coordinates of related effects. No law is exact, so an effect smaller than the error
             of their laws only corrects their form.
     """

@@ -80,13 +80,13 @@ def torque_responses(
     Args:
         engine: windows of logs.
         limb: columns of its joints.
-        armature: of all joints [kg m^2], ``[joint]``.
+        armature: armature of all joints [kg m^2], ``[joint]``.
         internal_loop: whether servos close the position loop themselves.
         initial: whitened responses to initial states, ``[nuisance, window, residual]``.
         residual: whitened residual of the baseline, ``[window, residual]``.
         filters: matrices of the servos' velocity filters, ``[joint, tick, tick]``.
-        torque_unit: [N m].
-        floor: of all sensors, ``[joint, channel]``.
+        torque_unit: torque of the response [N m].
+        floor: floors of all sensors, ``[joint, channel]``.
     """
     windows, n, ticks = len(residual), len(limb), filters.shape[1] - 1
     shape = (windows, ticks + 1, n, 3)
@@ -179,7 +179,7 @@ def filtered_rate_weights(matrix: np.ndarray, period: float) -> np.ndarray:
     Without sensor errors the result equals `velocity_weights` of whitened velocities.
 
     Args:
-        matrix: of the servo's velocity filter, ``[tick, tick]``.
+        matrix: matrix of the servo's velocity filter, ``[tick, tick]``.
         period: length of a tick [s].
     """
     scale = FLOORS["joint", "position"] / FLOORS["joint", "velocity"] / period

@@ -88,8 +88,8 @@ class JointGap:
     """Residual torque of a joint, RMS over windows [N m].
 
     Attributes:
-        before: under the baseline fit.
-        after: under the returned model.
+        before: torque under the baseline fit.
+        after: torque under the returned model.
         floor: noise of the sensors.
         unexplained: part that no effect of the catalogue explains.
         flagged: whether this part exceeds that of joints of sound robots.
@@ -117,7 +117,7 @@ class Verdict:
         base: the baseline fit: the given model refitted without new effects.
         model: the returned model: the baseline with every finding.
         windows: the gap in windows of held-out runs, in three stages; None where there are no windows.
-        gap: by channel, before and after in free-run simulations of held-out runs.
+        gap: errors by channel, before and after in free-run simulations of held-out runs.
         loss: ``paper_eq7`` before and after on these runs.
         chain: parameters of the measurement chain, fitted and usual.
         ranking: hypotheses before any effect was named, the best first.
