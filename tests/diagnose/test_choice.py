@@ -120,7 +120,7 @@ def test_a_number_at_its_bound_is_a_doubt_where_logs_exercise_it():
     other = point.copy()
     other[at] = coordinates.low[at]
     twice = Baseline(base.linear, certain, (LocalOptimum(coordinates, other, -3.0),))  # type: ignore[arg-type]
-    assert "with other torque_constant" in doubts(twice)[1]
+    assert "with other values of torque constant" in doubts(twice)[1]
     prior = SimpleNamespace(covariance=np.diag(coordinates.deviation**2))
     assert doubts(Baseline(base.linear, prior)) == ()  # type: ignore[arg-type]
 
