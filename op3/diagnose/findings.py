@@ -249,7 +249,7 @@ class Search:
         accepted = [refit for refit in scored if self._accepted(refit.effect)]
         if not accepted:
             return None
-        best, rivals = best_refit(accepted, without, self.settings.threshold)
+        best, rivals = best_refit(accepted, without, self.settings)
         return self.around(stage, best.base, (*stage.named, replace(best.effect, rivals=rivals)))
 
     def _accepted(self, effect: NamedEffect) -> bool:

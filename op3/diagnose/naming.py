@@ -179,28 +179,36 @@ def _rms_torques(rows: Rows, first: int, count: int) -> np.ndarray:
 
 
 def best_refit(
-    accepted: Sequence[ScoredRefit], without: np.ndarray, threshold: float
+    accepted: Sequence[ScoredRefit], without: np.ndarray, settings: Settings
 ) -> tuple[ScoredRefit, tuple[Rival, ...]]:
     """The refit that is named, and its rivals.
 
     Held-out runs decide where they can. Among the refits that gain in the same runs and joints as the one with the
-    largest gain, and are not significantly worse, the evidence decides, which penalises needless parameters.
+    largest gain, and are not significantly worse, the evidence decides. Of related effects whose evidence differs by
+    less than an alarm the one with the fewest parameters is named.
 
     Args:
         accepted: refits with a significant gain.
         without: held-out log densities of the model without them, ``[run, joint]``.
-        threshold: gain in standard errors above which one refit is better than another.
+        settings: with the gain in standard errors above which one refit is better than another, and the alarm.
     """
     leader = max(accepted, key=lambda refit: refit.effect.gain.mean)
     similar = [refit for refit in accepted if refit is leader or _similar(leader.density, refit.density, without)]
-    equal = [refit for refit in similar if Gain.of(leader.density, refit.density).z < threshold]
-    best = max(equal, key=lambda refit: refit.effect.log_odds)
+    equal = [refit for refit in similar if Gain.of(leader.density, refit.density).z < settings.threshold]
+    evident = max(equal, key=lambda refit: refit.effect.log_odds)
+    name, least = evident.effect.candidate.effect.name, evident.effect.log_odds - settings.alarm
+    related = [
+        refit
+        for refit in equal
+        if (refit.effect.log_odds > least and refit.effect.candidate.effect.related({name})) or refit is evident
+    ]
+    best = min(related, key=lambda refit: (len(refit.effect.coordinates), -refit.effect.log_odds))
     rivals = [
         Rival(r.effect.candidate, Gain.of(best.density, r.density), best.effect.log_odds - r.effect.log_odds)
         for r in equal
         if r is not best
     ]
-    return best, tuple(rival for rival in rivals if rival.finding_gain.z < threshold)
+    return best, tuple(rival for rival in rivals if rival.finding_gain.z < settings.threshold)
 
 
 def _similar(density: np.ndarray, other: np.ndarray, without: np.ndarray) -> bool:

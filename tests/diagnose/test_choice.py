@@ -43,7 +43,7 @@ from op3.motions import leg_suite
 from op3.replay.planned import planned_suite
 from op3.replay.windows import WindowResiduals
 from op3.rollout import Rollout
-from op3.servo import Estimate
+from op3.servo import Estimate, effect_class
 from op3.servo.effects import Backlash, DirectionalEfficiency, LoadFriction
 from op3.sim import load_model
 from tests.op3_table import LEG_JOINTS
@@ -329,24 +329,34 @@ def test_in_a_bad_joint_effects_are_proposed_by_what_they_predict(truth, monkeyp
     assert proposed["bad"][0].effect.name == "coulomb"
 
 
-def refit(name: str, density: list[list[float]], log_odds: float) -> ScoredRefit:
-    """A refit with held-out log densities ``[run, joint]``, over a model without it whose densities are 0."""
-    scores, zero = np.array(density), np.zeros((4, 2))
-    candidate: Any = SimpleNamespace(effect=SimpleNamespace(name=name))
-    named = NamedEffect(candidate, (), log_odds, Gain.of(scores, zero), Relevance({}, 0.0, 0.0, True))
-    return ScoredRefit(named, cast(Any, None), scores)
+def refit(name: str, gains: list[float], log_odds: float, parameters: int = 1) -> ScoredRefit:
+    """A refit with held-out log densities per run of one joint, over a model without it whose densities are 0."""
+    density, candidate = np.array([gains]).T, cast(Any, SimpleNamespace(effect=effect_class(name)))
+    coordinates = cast(Any, (None,) * parameters)
+    gain = Gain.of(density, np.zeros_like(density))
+    effect = NamedEffect(candidate, coordinates, log_odds, gain, Relevance({}, 0.0, 0.0, True))
+    return ScoredRefit(effect, cast(Any, None), density)
 
 
-def test_among_refits_that_gain_alike_the_most_evident_is_named():
-    """Held-out gains of 4.0 and 3.9 a run in the same joint, within their errors: the one with more evidence is named
-    and the other is its rival. A third gains as much elsewhere, and a fourth too little; neither is a rival."""
-    largest = refit("compliance", [[3.0, 0.0], [5.0, 0.0], [3.0, 0.0], [5.0, 0.0]], 20.0)
-    evident = refit("backlash", [[3.2, 0.0], [4.6, 0.0], [3.2, 0.0], [4.6, 0.0]], 40.0)
-    elsewhere = refit("coulomb", [[0.0, 3.0], [0.0, 5.0], [0.0, 3.0], [0.0, 4.9]], 90.0)
-    poor = refit("stribeck", [[1.0, 0.0], [2.0, 0.0], [1.0, 0.0], [2.0, 0.0]], 95.0)
-    best, rivals = best_refit([largest, evident, elsewhere, poor], np.zeros((4, 2)), threshold=2.0)
+def test_among_refits_with_equal_gains_the_most_evident_is_named():
+    """Held-out gains of 4.0 and 3.9 a run in the same runs, within their errors: the one with more evidence is named
+    and the other is its rival. A third gains in other runs, and a fourth too little; neither is a rival."""
+    largest, evident = refit("compliance", [3.0, 5.0, 3.0, 5.0], 20.0), refit("backlash", [3.2, 4.6, 3.2, 4.6], 40.0)
+    elsewhere, poor = refit("coulomb", [0.0, 0.0, 0.0, 9.9], 90.0), refit("stribeck", [1.0, 2.0, 1.0, 2.0], 95.0)
+    best, rivals = best_refit([largest, evident, elsewhere, poor], np.zeros((4, 1)), Settings())
     assert best is evident
-    assert [rival.candidate for rival in rivals] == [largest.effect.candidate]
+    assert [(rival.candidate, rival.log_odds) for rival in rivals] == [(largest.effect.candidate, 20.0)]
+
+
+@pytest.mark.parametrize(("behind", "named"), [(3.0, "coulomb"), (8.0, "position_friction")])
+def test_of_related_effects_with_equal_evidence_the_simpler_is_named(behind, named):
+    """Friction that depends on the angle explains constant friction too: it is named if its evidence leads by more
+    than an alarm of 6."""
+    gains = [3.0, 5.0, 3.0, 5.0]
+    several, simple = refit("position_friction", gains, 40.0, 3), refit("coulomb", gains, 40.0 - behind)
+    best, (rival,) = best_refit([several, simple], np.zeros((4, 1)), Settings())
+    assert best.effect.candidate.effect.name == named
+    assert rival.log_odds == (-behind if best is simple else behind)
 
 
 @pytest.mark.slow
