@@ -158,8 +158,7 @@ class View:
         remedy += "; until then the channel is not used" if aside else ""
         column = where if isinstance(where, str) else self.name(*where)
         first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
-        times, counted = (float(self.time[first]), float(self.time[last])), (first + 1, last + 1)
-        at = (counted, times) if rows else (None, None)
+        at = ((first + 1, last + 1), (float(self.time[first]), float(self.time[last]))) if rows else (None, None)
         return LogFinding(ERROR if error else WARNING, problem, remedy, column, *at, aside)
 
 
