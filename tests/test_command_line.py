@@ -33,8 +33,8 @@ def op3() -> Callable[..., tuple[int, str]]:
     [
         (["trian"], "unknown command 'trian'; the nearest is 'train'"),
         (["train", "task=wlak"], "task=wlak: there is no 'wlak' in the group task; the nearest is 'walk'"),
-        (["train", "train.stpes=3"], "train has no part 'stpes'; the nearest is 'steps'"),
-        (["train", "evaluation={vidoe: true}"], "evaluation has no part 'vidoe'; the nearest is 'video'"),
+        (["train", "train.stpes=3"], "train has no field 'stpes'; the nearest is 'steps'"),
+        (["train", "evaluation={vidoe: true}"], "evaluation has no field 'vidoe'; the nearest is 'video'"),
         (["train", "steps=3"], "there is no setting 'steps'; the nearest is 'train.steps'"),
         (["demo", "diagnose", "effect=dte"], "there is no setting 'effect'; the nearest is 'hidden_effect'"),
         (
@@ -43,7 +43,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         ),
         (["demo", "diagnose", "hidden_robot=legg"], "hidden_robot must be one of 'leg', 'pendulum', 'op3' or 'arm'"),
         (["collect", "motion=sqat"], "motion=sqat: there is no 'sqat' in the group motion; the nearest is 'squat'"),
-        (["collect", "motion.perid=3"], "motion has no part 'perid'; there are knee_low, knee_high,"),
+        (["collect", "motion.perid=3"], "motion has no field 'perid'; there are knee_low, knee_high,"),
         (
             ["collect", "motion=triangle", "motion.frequency=3"],
             "motion.frequency belongs to another option of its group",
@@ -51,7 +51,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["collect", "repeats=0"], "repeats must be at least 1, got 0"),
         (["collect", "world_seed=abc"], "world_seed must be a whole number, got 'abc'"),
         (["collect", "plan=plan.yaml"], "there is no file plan.yaml: correct the path"),
-        (["collect", "hydra.run.dir=/proc/op3"], "/proc/op3: no such file or directory; choose another place"),
+        (["collect", "hydra.run.dir=/proc/op3"], "/proc/op3: no such file or directory; choose another folder"),
         (["train", '"seed=3'], "\"seed='3': cannot be read; write setting=value"),
         (["doctor", "all"], "doctor takes no settings, got all"),
         (["collect", "twice"], "twice is not a setting: write setting=value"),
@@ -59,7 +59,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["identify", "effects={dte: {}}"], "effects has no entry 'dte' yet: add it with +effects.dte=..."),
         (
             ["identify", "data=x", "hydra.sweeper.n_trails=5"],
-            "hydra.sweeper has no part 'n_trails'; the nearest is 'n_trials'",
+            "hydra.sweeper has no field 'n_trails'; the nearest is 'n_trials'",
         ),
         (["identify", "hydra.sweeper.n_trials=x"], "hydra.sweeper.n_trials=x: Value 'x' of type 'str' could not be"),
         (

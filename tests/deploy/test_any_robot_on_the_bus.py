@@ -54,9 +54,7 @@ def test_ids_and_limits_are_those_of_the_file(tmp_path):
 def test_a_robot_of_other_servos_is_refused(tmp_path):
     """In one sentence that says what to do with it."""
     path = write_robot(tmp_path, "four")
-    with pytest.raises(
-        ValueError, match=r"four: the bus speaks to Dynamixel X .* that of j0 \(sts3215, .*\) is not one"
-    ):
+    with pytest.raises(ValueError, match=r"four: the bus supports only Dynamixel X .* but j0 has a sts3215 \(.*\)"):
         Player("emulated", "stand", robot=path, folder=tmp_path, model="own").play(multisine(robot=str(path)))
 
 

@@ -20,7 +20,7 @@ def test_runs_share_the_stages_with_the_same_arguments(tmp_path, capsys):
     assert len(list((tmp_path / "shared").glob(f"squat-*/{DONE}"))) == 2
     assert len(list((tmp_path / "shared").glob(f"predict-*/{DONE}"))) == 2
     said = capsys.readouterr().out
-    assert said.count("done before") == 2
+    assert said.count("already finished") == 2
     assert said.count("1 recording: ") == 2
 
 

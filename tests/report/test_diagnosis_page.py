@@ -47,7 +47,7 @@ def test_a_name_comes_with_its_rival_and_what_would_tell_them_apart(tmp_path):
     assert "rad, probability 0.70. To distinguish it from its alternatives:" in text
     assert "0.021 (0.015 to 0.027) rad" in text
     assert "DTE in left knee, 0.30" in text
-    assert "given model 20, refitted 6, repeats differ by 2" in text
+    assert "given model 20, baseline fit 6, repeats differ by 2" in text
 
 
 @pytest.mark.parametrize("flagged", [True, False])
@@ -62,7 +62,7 @@ def test_what_was_abstained_from_is_said_first_with_what_would_settle_it(tmp_pat
 def test_a_pure_number_has_no_unit(tmp_path):
     """An efficiency is 0.686 and not "0.686 -", in the sentence as in the table."""
     dte = Finding("dte", ("l_knee",), True, "backward_efficiency", 0.686, "-", (0.58, 0.791), 0.7, 5.0, GAIN)
-    assert dte.phrase == "dte (backward_efficiency 0.686)"
+    assert dte.phrase == "DTE (backward efficiency 0.686)"
     text = told(tmp_path, dte)
     assert "DTE: backward efficiency 0.69 (0.58 to 0.79), probability 0.70." in text
     assert "(0.58 to 0.79) -" not in text

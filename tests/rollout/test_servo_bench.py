@@ -104,7 +104,7 @@ def test_a_key_that_stands_twice_is_refused(tmp_path):
     """Else the last one would win without a word."""
     path = tmp_path / "run.json"
     path.write_text(json.dumps(recording()).replace('"mass"', '"kp": 16, "mass"', 1))
-    with pytest.raises(LogError, match=r"run\.json, field kp: the key appears twice; keep the one"):
+    with pytest.raises(LogError, match=r"run\.json, field kp: the key appears twice; keep the correct one"):
         read_log(path)
 
 

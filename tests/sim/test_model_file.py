@@ -68,7 +68,7 @@ GOOD = "format: op3-model/1\nbus_voltage: 11.1\neffects:\n  - motor: {torque_con
         (GOOD.replace("torque_constant: 0.006", "gear_ratio: '353'"), "gear_ratio must be a finite number"),
         (GOOD + "  - dte: {form: pasive}\n", "form must be one of passive, printed"),
         (GOOD + "  - dte: {backward_efficiency: 1.7}\n", "between 0 and 1"),
-        (GOOD.replace("0.006", "{value: 0.006, low: 0.5, high: 0.2}"), "low end 0.5 lies above"),
+        (GOOD.replace("0.006", "{value: 0.006, low: 0.5, high: 0.2}"), "lower end 0.5 is above its upper end 0.2"),
         (GOOD + "  - {coulomb: {}, viscous: {}}\n", "effects"),
     ],
 )

@@ -205,7 +205,7 @@ def test_a_run_is_not_written_over(tmp_path):
     settings = dataclasses.replace(SETTINGS, steps=256)
     run(tmp_path, settings)
     before = (tmp_path / "checkpoint.pt").read_bytes()
-    with pytest.raises(ValueError, match=r"go on with resume=.*, or choose another folder"):
+    with pytest.raises(ValueError, match=r"continue with resume=.*, or choose another folder"):
         run(tmp_path, settings)
     assert (tmp_path / "checkpoint.pt").read_bytes() == before
 
