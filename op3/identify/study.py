@@ -9,13 +9,15 @@ Independent of Hydra; `op3.identify.sweeper` connects the two.
 """
 
 import copy
+import json
 import logging
 import math
 import re
 import secrets
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -60,8 +62,8 @@ class TrialOutcome:
     error: str | None = None
 
 
-Evaluate = Callable[[list[dict[str, Any]]], Sequence[TrialOutcome]]
-"""Evaluates a population: parameters of each trial -> outcome of each trial, in the same order."""
+Evaluate = Callable[[list[dict[str, Any]]], Sequence[float | Sequence[float] | TrialOutcome | None]]
+"""Evaluates a population: parameters of each trial -> result of each trial, in the same order."""
 
 
 def _refused(field: str, wanted: str, given: Any) -> StudyError:
@@ -182,7 +184,36 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
         message = f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno} in {frame.name})"
         log.warning("The trial %s raised %s", population[0], message)
         return [TrialOutcome(None, error=message)]
-    return list(results)
+    return checked_outcomes(results, len(population))
+
+
+def checked_outcomes(results: Any, count: int) -> list[TrialOutcome]:
+    """The outcomes of `count` trials: of each a number, several numbers, None where it failed, or a `TrialOutcome`.
+
+    Raises:
+        StudyError: if there are more or fewer results than trials, or if one is anything else.
+    """
+    if not isinstance(results, Sequence | np.ndarray) or len(results) != count:
+        given = (
+            f"{len(results)} results" if isinstance(results, Sequence | np.ndarray) else f"a {type(results).__name__}"
+        )
+        raise StudyError(
+            f"The evaluation returned {given} for a population of {count}: return a list with one result per trial,"
+            " in order, None where it failed."
+        )
+    return [_as_outcome(result) for result in results]
+
+
+def _as_outcome(result: Any) -> TrialOutcome:
+    if result is None or isinstance(result, TrialOutcome):
+        return result or TrialOutcome(None)
+    try:
+        return TrialOutcome(tuple(float(value) for value in np.atleast_1d(result)))
+    except (TypeError, ValueError) as error:
+        raise StudyError(
+            f"The evaluation returned {result!r} for a trial: return a number, a tuple of numbers, None or a"
+            " TrialOutcome."
+        ) from error
 
 
 class _Session:
@@ -194,7 +225,8 @@ class _Session:
         self._search_space: dict[str, BaseDistribution] = {**how.search_space}
         self._name = f"{how.worker}:{secrets.token_hex(4)}"
         self._pulled: set[int] = set()
-        self._mirror = optuna.create_study(directions=study.directions, sampler=self._factory(0))
+        with _quiet_optuna():
+            self._mirror = optuna.create_study(directions=study.directions, sampler=self._factory(0))
         self._pull()
 
     @property
@@ -261,9 +293,14 @@ class _Session:
     def _judge(self, trial: Trial, outcome: TrialOutcome) -> Sequence[float] | None:
         """Record what is to be known about a trial; return its values if it has succeeded."""
         for key, value in outcome.attributes.items():
-            trial.set_user_attr(key, value)
+            trial.set_user_attr(key, _plain(key, value))
         if outcome.error is not None:
             trial.set_user_attr("error", outcome.error)
+        if outcome.values is not None and len(outcome.values) != len(self.study.directions):
+            raise StudyError(
+                f"The evaluation returned {len(outcome.values)} values for a trial, and the study has "
+                f"{len(self.study.directions)} directions: return one value per direction of hydra.sweeper.direction."
+            )
         if outcome.values is None or all(math.isfinite(value) for value in outcome.values):
             return outcome.values
         trial.set_user_attr("failed_values", [str(value) for value in outcome.values])
@@ -271,11 +308,10 @@ class _Session:
 
 
 def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optuna.Study:
-    optuna.logging.set_verbosity(optuna.logging.WARNING)  # Optuna announces each study that it opens
     name, directions = how.study_name, [StudyDirection[direction.upper()] for direction in how.directions]
-    study = optuna.create_study(
-        storage=open_storage(how.storage), study_name=name, directions=directions, load_if_exists=True
-    )
+    storage = open_storage(how.storage)
+    with _quiet_optuna():
+        study = optuna.create_study(storage=storage, study_name=name, directions=directions, load_if_exists=True)
     space, attributes = search_space_to_json(how.search_space), study.user_attrs
     if study.directions != directions or attributes.get("search_space", space) != space:
         raise StudyError(
@@ -312,3 +348,28 @@ def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
         if not _SCRATCH.match(key) and (keep_state or not _OPTIMIZER_STATE.match(key))
     }
     return stored
+
+
+def _plain(key: str, value: Any) -> Any:
+    """Turn numpy and torch data into JSON data."""
+
+    def unpack(what: Any) -> Any:
+        if not hasattr(what, "tolist"):
+            raise StudyError(
+                f"The attribute {key!r} of a TrialOutcome holds a {type(what).__name__}: give numbers, texts, lists or"
+                " dicts."
+            )
+        return what.tolist()
+
+    return json.loads(json.dumps(value, default=unpack))
+
+
+@contextmanager
+def _quiet_optuna() -> Iterator[None]:
+    """Keep Optuna from announcing each study that it opens, without changing what the user has set."""
+    level = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(max(level, optuna.logging.WARNING))
+    try:
+        yield
+    finally:
+        optuna.logging.set_verbosity(level)

@@ -21,7 +21,8 @@ import functools
 import itertools
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
+from hydra.errors import CompactHydraException
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
@@ -40,7 +42,7 @@ from op3.common.writing import write_text
 from op3.identify.results import summarize, write_results
 from op3.identify.search_space import StudyError
 from op3.identify.storage import open_storage
-from op3.identify.study import Evaluate, StudySettings, TrialOutcome, evaluate_population, run_study
+from op3.identify.study import Evaluate, StudySettings, TrialOutcome, checked_outcomes, evaluate_population, run_study
 from op3.identify.study_settings import read_settings
 
 log = logging.getLogger(__name__)
@@ -75,21 +77,23 @@ def sweep_or_report(
     path = OmegaConf.select(cfg, "population")
     if path is not None:
         if not Path(str(path)).is_file():
-            raise ValueError(f"population={path}: the sweeper writes that file itself; leave it out")
+            with _one_sentence():
+                raise StudyError(f"population={path}: the sweeper writes that file itself; leave it out.")
         asked = json.loads(Path(path).read_text())
         if isinstance(asked, dict):
             return {"starts": _propose(propose, asked["starts"]), "identity": identity}
         return evaluate_population(evaluate, asked)
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
-    settings = read_settings(cfg, hydra_config.sweeper, folder)
+    with _one_sentence():
+        settings = read_settings(cfg, hydra_config.sweeper, folder)
 
-    def evaluate_chunks(population: list[dict[str, Any]]) -> list[TrialOutcome]:
-        chunks = settings.split(population)
-        return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
+        def evaluate_chunks(population: list[dict[str, Any]]) -> list[TrialOutcome]:
+            chunks = settings.split(population)
+            return [outcome for chunk in chunks for outcome in evaluate_population(evaluate, chunk)]
 
-    starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
-    study = run_study(evaluate_chunks, settings, starts, identity)
+        starts = _kept_starts(folder, settings, lambda: _propose(propose, settings.starts))
+        study = run_study(evaluate_chunks, settings, starts, identity)
     summary = summarize(study)
     write_results(folder, summary)
     return summary if report is None else report(study)
@@ -259,10 +263,19 @@ def _job_outcomes(chunk: list[dict[str, Any]], job: JobReturn) -> list[TrialOutc
         if isinstance(error, StudyError):
             raise error
         return [TrialOutcome(None, error=f"job: {type(error).__name__}: {error}") for _ in chunk]
-    return job.return_value
+    return checked_outcomes(job.return_value, len(chunk))
 
 
 def _sweep_summary(summaries: list[dict[str, Any]], cells: int) -> dict[str, Any]:
     if cells > 1:
         return {"name": "optuna", "studies": summaries}
     return {key: value for key, value in summaries[0].items() if key not in ("folder", "overrides")}
+
+
+@contextmanager
+def _one_sentence() -> Iterator[None]:
+    """Let Hydra print a wrong setting as its sentence, without a stack trace."""
+    try:
+        yield
+    except StudyError as error:
+        raise CompactHydraException(str(error)) from error

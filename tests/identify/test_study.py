@@ -78,16 +78,16 @@ def test_starts_have_children():
     assert np.median([trial.value for trial in study.trials[24:]]) < 0.02
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, None])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, None, (math.nan,), np.nan])
 def test_a_trial_without_a_finite_value_fails_alone(bad):
     """One bad objective is one failed trial with its parameters; the study goes on to its end."""
-    failed = TrialOutcome(None if bad is None else (bad,))
-    study = quick_study(lambda population: [failed, *bowl(population[1:])])
+    study = quick_study(lambda population: [bad, *bowl(population[1:])])
     states = [trial.state for trial in study.trials]
     assert states == ([TrialState.FAIL] + [TrialState.COMPLETE] * 3) * 3
     assert set(study.trials[0].params) == set(SPACE)
     if bad is not None:
-        assert study.trials[0].user_attrs["failed_values"] == [str(bad)]
+        number = bad[0] if isinstance(bad, tuple) else bad
+        assert study.trials[0].user_attrs["failed_values"] == [str(number)]
 
 
 def test_an_exception_fails_only_the_trial_that_raises():
@@ -115,6 +115,22 @@ def test_a_study_in_which_everything_raises_stops_with_the_error():
 
     with pytest.raises(StudyError, match="torque_constant"):
         quick_study(evaluate, n_trials=1000)
+
+
+def test_attributes_of_an_outcome_are_stored_as_plain_data(tmp_path):
+    """Losses before weighting travel with the trial, numpy or not; what the user has set for Optuna's log stands."""
+    path, verbosity = tmp_path / "study.journal", optuna.logging.get_verbosity()
+
+    def evaluate(population):
+        extra = {"loss": np.float64(2.0), "per_joint": np.array([1.0, 2.0]), "parts": {"q": 1}}
+        return [TrialOutcome((1.0,), extra) for _ in population]
+
+    quick_study(evaluate, storage=path)
+    stored = optuna.load_study(study_name="study", storage=open_storage(path)).trials[5].user_attrs
+    assert stored["loss"] == 2.0
+    assert stored["per_joint"] == [1.0, 2.0]
+    assert stored["parts"] == {"q": 1}
+    assert optuna.logging.get_verbosity() == verbosity
 
 
 def test_a_torn_last_record_is_cut_off(tmp_path):
@@ -207,6 +223,11 @@ def test_two_workers_of_one_number_are_told(tmp_path):
         ({"sampler": "cmaes", "directions": ("minimize", "minimize")}, "one objective"),
         ({"directions": ("downwards",)}, "'minimize' or 'maximize'"),
         ({"population": 0}, "at least 1"),
+        ({"evaluate": lambda population: [0.0]}, "1 results for a population of 4"),
+        ({"evaluate": lambda population: None}, "a NoneType for a population of 4"),
+        ({"evaluate": lambda population: [(0.0, 1.0)] * len(population)}, "2 values"),
+        ({"evaluate": lambda population: ["good"] * len(population)}, "'good'"),
+        ({"evaluate": lambda population: [TrialOutcome((0.0,), {"f": print})] * 4}, "'f'"),
     ],
 )
 def test_wrong_settings_get_a_sentence(settings, reason):

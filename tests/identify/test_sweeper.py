@@ -142,6 +142,7 @@ def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
     assert "The study cannot begin, its first job raised RuntimeError: there is no bowl" in done.stderr
 
 
+@pytest.mark.parametrize("mode", [[], ["-m"]])
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [
@@ -149,9 +150,9 @@ def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
         ("+hydra.sweeper.params.bowl.z='interval(0,1)'", "bowl.z: hydra.sweeper.params names a key"),
     ],
 )
-def test_a_wrong_setting_gets_one_sentence(argument, sentence, tmp_path):
+def test_a_wrong_setting_gets_one_sentence(mode, argument, sentence, tmp_path):
     """The program ends with an error and a sentence, not with a stack trace."""
-    done = run_script(APP, "-m", argument, place=tmp_path)
+    done = run_script(APP, *mode, argument, place=tmp_path)
     assert done.returncode != 0
     assert sentence in done.stderr
     assert "Traceback" not in done.stderr
