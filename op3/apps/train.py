@@ -189,7 +189,7 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
     mirror, stand = mirror_of(cfg, task, action_map), torch.as_tensor(action_map.stand(cfg.initial_gain))
     try:
         algorithm = kind(robots, seed=cfg.seed, initial_action=stand, mirror=mirror, device=device, **settings)
-    except ValueError:
+    except (ValueError, MemoryError):
         raise
     except Exception as error:
         raise ValueError(f"algorithm._target_={target}: {mistake(error, __file__)}") from error

@@ -18,7 +18,7 @@ from op3.diagnose.doubts import chain_deviations, doubts, free_and_expected, uni
 from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge_settings import MIN_WINDOWS, SETTINGS, Settings
-from op3.diagnose.naming import NamedEffect, NamingStage
+from op3.diagnose.naming import NamedEffect, NamingStage, probability_shares
 from op3.diagnose.reduction import Reduction
 from op3.diagnose.show import show, shown_logs
 from op3.diagnose.split import LogSplit
@@ -223,19 +223,12 @@ class Diagnosis:
         return [self._finding(reduction, stage, *pair) for pair in zip(stage.named, opened, strict=True)]
 
     def _finding(self, reduction: Reduction, stage: NamingStage, effect: NamedEffect, opened: float | None) -> Finding:
-        """A finding from a named effect, which shares its probability with its rivals.
-
-        A rival's odds fall with the finding's held-out gain over it, and by a factor of e for each `alarm` of log
-        evidence between them: differences below an alarm also occur between wrong laws.
-        """
+        """A finding from a named effect, which shares its probability with its rivals."""
         joints, base, candidate = reduction.engine.joints, stage.base, effect.candidate
         entries = base.coordinates.entries
         i = entries.index(effect.coordinates[0])
-        s = self.settings
-        lead = [s.steepness * max(r.finding_gain.z, 0.0) + r.log_odds / s.alarm for r in effect.rivals]
-        share = np.exp(-np.array([0.0, *lead]))
         z = effect.gain.z if opened is None else min(effect.gain.z, opened)
-        share = self._probability(z) * share / share.sum()
+        share = self._probability(z) * probability_shares(effect.rivals, self.settings)
         alternatives = tuple(
             Alternative(*_place(rival.candidate, joints), probability)
             for rival, probability in zip(effect.rivals, share[1:].tolist(), strict=True)

@@ -41,7 +41,6 @@ class Velocity:
         single_share: probability of one of the three numbers alone: forward, sideways or turning on the spot.
         forward_share: probability of walking straight forwards at more than half of the greatest speed; the other
             shares are of the remaining commands. A curriculum may lower it from 1.
-        scale: factor on all ranges, which a curriculum may raise from 0 to 1.
         corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: draws
             outside the ellipsoid of the ranges are scaled back to it. A curriculum may raise it.
     """
@@ -61,7 +60,6 @@ class Velocity:
         straight_share: float = 0.0,
         single_share: float = 0.0,
         forward_share: float = 0.0,
-        scale: float = 1.0,
         corners: float = 1.0,
     ):
         for name, bounds in (("forward", forward), ("sideways", sideways), ("turning", turning)):
@@ -74,8 +72,10 @@ class Velocity:
         if min(shares) < 0 or sum(shares) > 1:
             names = "zero_share, turn_share, straight_share and single_share"
             raise ValueError(f"{names} must be at least 0 and at most 1 together, got {shares}")
+        if not 0 <= forward_share <= 1:
+            raise ValueError(f"forward_share must be between 0 and 1, got {forward_share}")
         self._times, self._shares = times, np.cumsum(shares)
-        self.forward_share, self.scale, self.corners = forward_share, scale, corners
+        self.forward_share, self.corners = forward_share, corners
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
         self._count = ceil(duration / times[0]) + 1
         self._interval, self._shift = torch.full((2, num_envs), times[0], dtype=torch.float64)
@@ -87,7 +87,7 @@ class Velocity:
             drawn = generator.uniform(self._low, self._high, (self._count, 3))
             end = np.where(drawn < 0, self._low, self._high)
             part = np.divide(drawn, end, out=np.zeros_like(drawn), where=end != 0)
-            drawn *= self.scale / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1.0) ** (1.0 - self.corners)
+            drawn /= np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1.0) ** (1.0 - self.corners)
             kind = np.searchsorted(self._shares, generator.random(self._count), side="right")
             least, greatest = self._times[[0, -1]]
             interval = least if least == greatest else least * (greatest / least) ** generator.random()
@@ -97,7 +97,7 @@ class Velocity:
             drawn[(kind == 3)[:, None] & others] = 0.0
             if self.forward_share > 0.0:
                 ahead = generator.random(self._count) < self.forward_share
-                speed = self._high[0] * self.scale * generator.uniform(0.5, 1.0, self._count)
+                speed = self._high[0] * generator.uniform(0.5, 1.0, self._count)
                 drawn[ahead] = np.stack([speed, *np.zeros((2, self._count))], 1)[ahead]
             self._schedule[row] = torch.from_numpy(drawn)
 

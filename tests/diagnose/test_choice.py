@@ -32,7 +32,7 @@ from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge import CoefficientPriors, Posterior, Variances
 from op3.diagnose.judge_settings import Settings
-from op3.diagnose.naming import NamedEffect, ScoredRefit, best_refit
+from op3.diagnose.naming import NamedEffect, Rival, ScoredRefit, best_refit, probability_shares
 from op3.diagnose.reduction import Linearisation, Reduction
 from op3.diagnose.relevance import Relevance
 from op3.diagnose.show import show
@@ -385,3 +385,15 @@ def test_few_servos_may_differ_by_more_than_their_own_spread_says():
         servo = next(e for e in with_sound_spread(coordinates, Settings()).entries if e.per_servo)
         assert servo.high / servo.deviation == pytest.approx(limit, abs=0.01)
         assert servo.tails == len(joints) + 4
+
+
+def test_no_rival_has_more_of_a_probability_than_the_finding():
+    """Equal in both respects, it has half; what speaks for the rival in one respect does not make up for the other."""
+    even, settings = Gain(0.0, 1.0, 0.0, 8), Settings()
+    rival = Rival(cast(Any, None), even, 0.0)
+    assert probability_shares([rival], settings) == pytest.approx([0.5, 0.5])
+    behind = [dataclasses.replace(rival, log_odds=-50.0), dataclasses.replace(rival, log_odds=settings.alarm)]
+    assert probability_shares(behind, settings) == pytest.approx(
+        np.array([1.0, 1.0, np.exp(-1.0)]) / (2 + np.exp(-1.0))
+    )
+    assert probability_shares([], settings) == pytest.approx([1.0])

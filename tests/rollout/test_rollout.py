@@ -161,6 +161,18 @@ def test_saving_never_overwrites_unasked(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "thesis"]
 
 
+def test_a_failed_save_leaves_nothing(tmp_path, monkeypatch):
+    """When writing fails half way, neither the folder nor a temporary one remains."""
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("op3.rollout.rollout.write_text", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        rollout().save(tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
 SCHEMA_OFFENCES = {
     "dtype": (lambda d: d.set(("joint", "position"), d["joint", "position"].float()), "float32"),
     "unknown channel": (lambda d: d.set(("joint", "speed"), d["joint", "position"]), "speed"),

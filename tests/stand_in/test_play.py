@@ -175,6 +175,14 @@ def test_bad_arguments(arguments, message):
         StandIn(HiddenWorld(), build_scene("stand", "op3")).play(SHORT, **arguments)
 
 
+def test_targets_beyond_the_soft_limits_are_refused():
+    """No robot is told to go where software must keep it from; the message names joint, angle and limit."""
+    with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
+        StandIn(HiddenWorld(), build_scene("stand", "op3")).play(
+            Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",), robot="op3")
+        )
+
+
 def test_the_bench_plays_a_motion_of_its_own():
     """The pendulum follows a motion of its joint; it has no IMU and cannot fall."""
     motion = Motion(np.arange(60) / 125, np.linspace(0, 0.5, 60)[:, None], ("servo",), robot="bench")

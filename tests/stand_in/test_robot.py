@@ -1,6 +1,7 @@
 """The stand-in robot below `play`: placing, commanding, reading, energy, gear, time step."""
 
 import numpy as np
+import pinocchio
 import pytest
 
 from op3.motions import squat
@@ -172,6 +173,20 @@ def test_friction_stops_a_pendulum():
     assert max(np.diff(energies)) < 3e-5
     assert energies[-1] < 0.1 * energies[0]
     assert np.ptp(energies[-20:]) < 1e-5
+
+
+def test_a_dead_robot_loses_energy():
+    """Legs let go from a bent pose in the stand never gain mechanical energy and come to rest."""
+    robot = StandIn(QUIET, build_scene("stand", "op3"))
+    robot.reset(pose("squat_low", "op3"))
+    limbs, energies = robot._bodies, []
+    for _ in range(300):
+        robot.advance(0.01)
+        energies.append(pinocchio.computeMechanicalEnergy(limbs.model, limbs.data, limbs.position, limbs.velocity))
+    # Each of 20 servos may give back what its strained teeth hold, 0.15^2 / 800 J.
+    assert max(np.diff(energies)) < 20 * 0.15**2 / 800
+    assert energies[-1] < energies[0]
+    assert np.abs(robot.servos.states["velocity"]).max() < 1e-3
 
 
 @pytest.mark.parametrize("efficiency", [0.6, 0.8])

@@ -69,3 +69,15 @@ def test_a_share_of_the_commands_is_to_walk_straight_ahead():
     assert ahead.double().mean() == pytest.approx(0.6, abs=0.03)
     assert drawn[ahead, 0].max() <= 0.3
     assert (drawn == 0).all(1).double().mean() == pytest.approx(0.2, abs=0.03)
+
+
+def test_a_share_of_commands_straight_ahead_is_a_probability():
+    """At 1 all walk forwards faster than half of the greatest speed; beyond it is refused."""
+    command = Velocity(1, 4000.0, **RANGES, forward_share=1.0)
+    command.begin(Episodes(np.array([0]), np.array([3]), np.zeros((1, 1)), np.zeros((1, 1))))
+    forward, others = command._schedule[0, :, 0], command._schedule[0, :, 1:]
+    assert forward.min() >= 0.15
+    assert forward.max() <= 0.3
+    assert not others.any()
+    with pytest.raises(ValueError, match=r"forward_share must be between 0 and 1, got 1\.5"):
+        Velocity(1, 10.0, **RANGES, forward_share=1.5)

@@ -182,7 +182,12 @@ CHECKS: dict[str, LogCheck] = {}
 
 def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[Find], Find]:
     """Enter a check into the registry; see `LogCheck`, and the names in `unless` are separated by commas."""
-    return lambda find: CHECKS.setdefault(name, LogCheck(find, needs, rows, tuple(unless.split(", ")))).find
+
+    def enter(find: Find) -> Find:
+        CHECKS[name] = LogCheck(find, needs, rows, tuple(unless.split(", ")))
+        return find
+
+    return enter
 
 
 def examine(log: Rollout) -> tuple[LogFinding, ...]:
