@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "rollout"))
 
@@ -341,7 +342,7 @@ def main(edits: int, seed: int, only: str = "") -> int:
         content = {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
         sound[name] = path.relative_to(folder), content
         shutil.rmtree(folder)
-    for number in range(edits):
+    for number in tqdm(range(edits), unit="edit", mininterval=10.0, dynamic_ncols=True):
         random = np.random.default_rng([seed, number])
         name = list(formats)[number % len(formats)]
         path, files = sound[name]
