@@ -36,7 +36,7 @@ def with_interval(values: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
     return result.reshape(*array.shape[1:], 3)
 
 
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+def wilson_interval(successes: float, trials: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a share, which stays within 0 and 1 and is no point at either (Wilson 1927)."""
     z = float(ndtri(0.975))
     share, weight = successes / trials, 1 + z**2 / trials

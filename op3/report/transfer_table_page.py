@@ -1,6 +1,6 @@
 """How often policies transfer, by what they were trained on: the paper's tables III and IV with intervals."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,9 @@ PAGE, NUMBERS = "transfers.html", "transfers.yaml"
 
 PAPER = NAMES["paper"]
 
+CONTROL = "retrained"
+"""Condition with a second training but without new information, with which others are compared."""
+
 
 def read_cells(folder: str | Path) -> list[Transferred]:
     """All runs of sim2real.py directly in a folder that are finished, by name."""
@@ -32,10 +35,24 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
         here = [cell for cell in cells if cell["task"] == task]
         found = {condition: [one for one in here if one["condition"] == condition] for condition in _conditions(here)}
         worlds = sorted({cell["world"] for cell in here})
-        values[task] = {name: transfer_rates(of) for name, of in found.items()}
+        rates = {name: transfer_rates(of, found.get(CONTROL, ())) for name, of in found.items()}
+        values[task] = rates
+        paper = PAPER.get(task, {})
         tables[task] = (
-            ["trained on", "paper", *worlds, "all robots", "95 % interval", "episodes to their end", "share [%]"],
-            [[words(name), PAPER.get(task, {}).get(name, ""), *_row(of, worlds)] for name, of in found.items()],
+            ["trained on", "paper", *worlds, "all", "95 % interval", "episodes to their end"],
+            [[words(name), paper.get(name, ""), *_row(of, worlds, rates[name])] for name, of in found.items()],
+        )
+        tables[f"{task}_returns"] = (
+            ["trained on", "share [%]", "promise error", f"share minus that of {words(CONTROL)} [%]"],
+            [
+                [
+                    words(name),
+                    100 * rate["share"],
+                    _range(rate["promise_error"]),
+                    _range(rate["share_over_control"], 100),
+                ]
+                for name, rate in rates.items()
+            ],
         )
         shares = {
             w: {words(n): [last_transfer(c, "share") for c in of if c["world"] == w] for n, of in found.items()}
@@ -66,13 +83,19 @@ def _counts(cells: Sequence[Transferred]) -> str:
     return f"{len(good)}/{len(cells)} ({sum(not cell['rounds'] for cell in good)})" if cells else "–"
 
 
-def _row(cells: Sequence[Transferred], worlds: Sequence[str]) -> list[Any]:
-    numbers = transfer_rates(cells)
-    low, high = numbers["interval"]
+def _row(cells: Sequence[Transferred], worlds: Sequence[str], rates: Mapping[str, Any]) -> list[Any]:
+    low, high = rates["interval"]
     return [
         *(_counts([cell for cell in cells if cell["world"] == world]) for world in worlds),
         _counts(cells),
         f"{100 * low:.0f} to {100 * high:.0f} %",
-        f"{numbers['episodes_to_their_end']} of {numbers['episodes']}",
-        100 * numbers["share"],
+        f"{rates['episodes_to_their_end']} of {rates['episodes']}",
     ]
+
+
+def _range(values: Sequence[float] | None, factor: float = 1.0) -> str:
+    """A mean with its interval, which a single robot does not give."""
+    if values is None:
+        return "–"
+    mean, *ends = (f"{factor * value:.3g}" for value in values)
+    return f"{mean} ({' to '.join(ends)})" if ends else mean

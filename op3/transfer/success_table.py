@@ -1,9 +1,9 @@
 """How often policies transfer, with intervals: the numbers of the paper's tables III and IV."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from op3.common.sample_intervals import wilson_interval
+from op3.common.sample_intervals import mean_interval, wilson_interval
 
 Transferred = Mapping[str, Any]
 """Numbers of a run of sim2real, by dotted key."""
@@ -21,15 +21,44 @@ def _episodes(cells: Sequence[Transferred]) -> tuple[int, int]:
     return sum(round(n * last_transfer(cell, name)) for n, cell in zip(played, cells, strict=True)), sum(played)
 
 
-def transfer_rates(cells: Sequence[Transferred]) -> dict[str, Any]:
-    """Transfers, successes with their 95 % interval, episodes to their end, and the mean share of the return."""
+def transfer_rates(cells: Sequence[Transferred], control: Sequence[Transferred] = ()) -> dict[str, Any]:
+    """Successes of a condition, and how far returns on the robots are from those expected, with 95 % intervals.
+
+    Seeds of one robot depend on each other, so intervals are over robots, each with the mean of its cells.
+
+    Args:
+        cells: finished cells of one task and condition.
+        control: cells of the condition that it is compared with, robot by robot; none: no comparison.
+    """
     good, (ended, episodes) = sum(bool(cell["success"]) for cell in cells), _episodes(cells)
+    robots = _by_robot(cells, lambda cell: float(cell["success"]))
+    shares, others = (_by_robot(of, lambda cell: last_transfer(cell, "share")) for of in (cells, control))
+    short = _by_robot(cells, lambda cell: last_transfer(cell, "expected") - last_transfer(cell, "actual"))
     return {
         "transfers": len(cells),
         "successes": good,
         "at_once": sum(bool(cell["success"]) and not cell["rounds"] for cell in cells),
-        "interval": list(wilson_interval(good, len(cells))),
+        "robots": len(robots),
+        "interval": list(wilson_interval(sum(robots.values()), len(robots))),
         "episodes": episodes,
         "episodes_to_their_end": ended,
         "share": sum(last_transfer(cell, "share") for cell in cells) / len(cells),
+        "promise_error": _mean(short.values()),
+        "share_over_control": _mean(shares[name] - others[name] for name in shares.keys() & others),
     }
+
+
+def _by_robot(cells: Sequence[Transferred], number: Callable[[Transferred], float]) -> dict[str, float]:
+    """Mean of a number over the cells of each robot."""
+    found: dict[str, list[float]] = {}
+    for cell in cells:
+        found.setdefault(cell["world"], []).append(number(cell))
+    return {name: sum(values) / len(values) for name, values in sorted(found.items())}
+
+
+def _mean(values: Iterable[float]) -> list[float] | None:
+    """Mean, low and high; of one robot only its value, and None of none."""
+    known = list(values)
+    if len(known) < 2:
+        return known or None
+    return [sum(known) / len(known), *mean_interval(known)]
