@@ -46,13 +46,14 @@ class GaitProfile:
 
 
 def in_stance(log: Rollout, task: str | Task) -> NDArray[np.bool_]:
-    """Whether the left and the right foot should be in stance, [time, 2]; always in a task without a gait."""
+    """Whether each foot of the task's robot should be in stance, [time, foot]; always in a task without a gait."""
     task = find_task(task)
+    feet = len(load_robot(task.robot).legs)
     if task.cycle is None:
-        return np.ones((log.rows, 2), dtype=bool)
+        return np.ones((log.rows, feet), dtype=bool)
     time = log.array("time")
     phase = torch.from_numpy(np.remainder((time[:, 0] - time[0, 0]) / task.cycle, 1.0))
-    return swing_of_feet(phase).numpy() < 0.5
+    return swing_of_feet(phase, feet).numpy() < 0.5
 
 
 def gains(log: Rollout, task: str | Task) -> dict[str, float]:

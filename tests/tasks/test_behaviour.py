@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from op3.robot import load_robot
 from op3.rollout import Metadata, Rollout
 from op3.tasks.behaviour import gains, gait_profile, in_stance, mean_tilt
+from op3.tasks.task import find_task
 from tests.op3_table import CONTROLLED_JOINTS, JOINTS
 
 PERIOD = 0.008
@@ -52,6 +54,22 @@ def test_gains_in_stance_and_swing():
     # 0.7 * 4 + 0.3 * 2
     assert values["gain"] == pytest.approx(3.4, abs=0.05)
     assert set(gains(walking_log(), "balance")) == {"gain"}
+
+
+def test_gains_of_a_quadruped_are_those_of_its_four_legs():
+    """Diagonal feet stand together: legs that are stiff while the clock says so have that gain in stance."""
+    robot, time = load_robot("quadruped"), np.arange(ROWS)[:, None] * PERIOD
+    task = find_task("walk", robot="quadruped")
+    arrays = {key: np.zeros((ROWS, len(robot.joints))) for key in ("joint/position", "command/position")}
+    metadata = Metadata(joints=robot.joints, robot="simulated", mount="floor", rate=125.0, policy_rate=31.25)
+    log = Rollout.from_arrays({"time": time, "command/p_gain": np.ones((ROWS, 12)), **arrays}, metadata)
+    stance = in_stance(log, task)
+    assert (stance[:, 0] == stance[:, 3]).all()
+    assert (stance[:, 1] == stance[:, 2]).all()
+    assert stance.mean(0) == pytest.approx([0.7] * 4, abs=0.02)
+    stiff = np.concatenate([np.where(foot, 5.0, 1.0)[:, None].repeat(3, 1) for foot in stance.T], 1)
+    values = gains(Rollout.from_arrays({"time": time, "command/p_gain": stiff, **arrays}, metadata), task)
+    assert (values["gain_stance"], values["gain_swing"]) == (5.0, 1.0)
 
 
 def test_mean_tilt():
