@@ -33,6 +33,11 @@ def op3() -> Callable[..., tuple[int, str]]:
     [
         (["trian"], "unknown command 'trian'; the nearest is 'train'"),
         (["train", "task=wlak"], "task=wlak: there is no 'wlak' in the group task; the nearest is 'walk'"),
+        (
+            ["train", "task=walk", "task.rewards={mine: {weight: 1}}"],
+            "task.rewards has no field 'mine'; there are alive, command, smooth, bipedal; add an entry with "
+            "+task.rewards.mine=...",
+        ),
         (["train", "train.stpes=3"], "train has no field 'stpes'; the nearest is 'steps'"),
         (["train", "evaluation={vidoe: true}"], "evaluation has no field 'vidoe'; the nearest is 'video'"),
         (["train", "steps=3"], "there is no setting 'steps'; the nearest is 'train.steps'"),

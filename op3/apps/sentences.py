@@ -27,8 +27,10 @@ def explained(error: Exception, config: str) -> str:
         named = [word.partition("=") for word in sys.argv[1:]]
         return next((no_such(group, name) for group, _, name in named if names_in(group)), text)
     if found := re.search(r"Could not override '([^']+)'", text):
-        asked, known = found[1].lstrip("+"), known_settings(config)
-        if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
+        asked, known = found[1].lstrip("+"), known_settings(config, chosen=True)
+        if asked in known_settings(config) and (
+            unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))
+        ):
             part = asked.rpartition(".")[2]
             if unknown[1] == part:
                 return f"{asked} belongs to another option of its group: the chosen option has no {part!r}"
@@ -37,7 +39,10 @@ def explained(error: Exception, config: str) -> str:
         if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
             return f"{group} has no entry {part!r} yet: add it with +{asked}=..."
         if parts := [name.removeprefix(f"{group}.") for name in known if group and name.startswith(f"{group}.")]:
-            return f"{group} has no field {part!r}{nearest(part, parts)}"
+            close = difflib.get_close_matches(part, parts, n=1)
+            shown = nearest(part, close or [name for name in parts if "." not in name])
+            more = f"; add an entry with +{asked}=..." if group.startswith("task.") and not close else ""
+            return f"{group} has no field {part!r}{shown}{more}"
         close = difflib.get_close_matches(asked, known, n=1)
         return f"there is no setting {asked!r}{nearest(asked, close or [name for name in known if '.' not in name])}"
     if text.startswith("Error merging override") and error.__cause__:
@@ -63,11 +68,14 @@ def as_sentence(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def known_settings(config: str) -> list[str]:
-    """Dotted names of all settings and the groups of a config as it is without overrides."""
+def known_settings(config: str, chosen: bool = False) -> list[str]:
+    """Dotted names of settings and groups of a config, by default or with the options that the command line chose."""
+    groups = [choice.partition("=")[0] for choice in settings_of(config)]
+    given = (word.partition("=") for word in sys.argv[1:])
+    options = [f"{group}={name}" for group, _, name in given if group in groups and name in names_in(group)]
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
-        cfg = compose(config, return_hydra_config=True)
+        cfg = compose(config, options if chosen else [], return_hydra_config=True)
     names: list[str] = []
 
     def walk(node: DictConfig, prefix: str) -> None:
@@ -79,5 +87,4 @@ def known_settings(config: str) -> list[str]:
 
     walk(cfg, "")
     names = [name for name in names if not name.startswith("hydra") or name.startswith("hydra.sweeper.")]
-    groups = [choice.partition("=")[0] for choice in settings_of(config)]
     return list(dict.fromkeys([*names, *groups]))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from op3.envs.actors import Actor, FixedGain, find_actor
 from op3.envs.record import record_episodes
 from op3.envs.step_traces import SKIPPED, StepWatch, Traces
 from op3.motions import SinusoidalGait
+from op3.policy import PolicyBundle
 from op3.robot import load_robot
 from op3.rollout import Rollout
 from op3.servo import RobotModel
@@ -89,8 +91,14 @@ def contestants(names: Sequence[str], task: Task, fixed_gains: Sequence[float], 
     """Those to be measured: bundles and baselines by name, and the first one's targets with gains that are fixed.
 
     Raises:
-        ValueError: if a name comes twice, or a policy does not fit the task.
+        ValueError: if a name comes twice, or a policy does not fit the task or the robot.
     """
+    for name in names:
+        made = PolicyBundle.load(name).manifest.action_map.robot if Path(name).is_dir() else task.robot
+        if load_robot(made).name != task.robot:
+            raise ValueError(
+                f"policy={name} was trained for the robot {made}; only walks of the {task.robot} are measured"
+            )
     actors = [find_actor(name, task, gain_scale=gain_scale) for name in names]
     first = actors[0]
     if not first.stiff:
