@@ -22,7 +22,7 @@ from op3.sim.foreign_models import EXPRESSES, expressed, to_bam, to_mjcf
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Write the file, say what is not in it, and how much worse that predicts the logs."""
+    """Write the file, list the effects that it omits, and measure how much worse it predicts the logs."""
     if cfg.to not in EXPRESSES:
         raise ValueError(f"to={cfg.to}: write one of {', '.join(EXPRESSES)}; mjlab and Playground take mjcf")
     logs = read_logs(plain(cfg.data), cfg.robot) if cfg.data is not None else []

@@ -72,7 +72,7 @@ class Curriculum:
                 raise ValueError(f"curricula.{path} lists pairs of steps and value, with increasing steps, got {pairs}")
 
     def at(self, steps: int) -> dict[str, float]:
-        """Values after so many steps, by path."""
+        """Values after a number of steps, by path."""
         return {path: float(np.interp(steps, *np.array(pairs).T)) for path, pairs in self.curricula.items()}
 
 
@@ -231,7 +231,7 @@ def _evaluate(
 
 
 def _identity(algorithm: Algorithm, manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
-    """What must be unchanged in a resumed run, although a change would fit all tensor shapes."""
+    """Values that a resumed run must not change, although a change would fit all tensor shapes."""
     return {
         "algorithm": type(algorithm).__name__,
         "task": manifest.task,
