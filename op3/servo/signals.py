@@ -61,7 +61,7 @@ SIGNALS = {
     "rotor_torque": "on it in the last step [N m]",
     "contact_torque": "between it and the link in the last step [N m]",
 }
-"""What flows through the servo law, of each joint: the fields of ``s`` in the functions of an effect.
+"""Signals of the servo law by joint: the fields of ``s`` in the functions of an effect.
 
 The simulation fills the inputs, the effects fill the rest in the order of their stages, and the simulation hands
 torque, damping and friction to the physics."""

@@ -52,7 +52,7 @@ class PacketDrop(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first command has arrived."""
+        """The first command counts as received."""
         s.packet_drop_held = s.target_current if p.packet_drop_signal == CURRENT else s.goal
 
     @staticmethod

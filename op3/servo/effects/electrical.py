@@ -116,7 +116,7 @@ class VoltageSag(Effect):
 
     @staticmethod
     def prepare(p):
-        """Share of the old current that a step keeps."""
+        """Share of the old current that remains after a step."""
         p.voltage_sag_keep = exp(-p.timestep / p.voltage_sag_time_constant)
 
     @staticmethod
@@ -174,7 +174,7 @@ class CurrentLag(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first command has been held for long; a voltage starts from zero."""
+        """The current starts settled at the first command; a voltage starts from zero."""
         s.current_lag_end = s.current_lag_wanted = s.target_current if p.current_lag_signal == CURRENT else 0.0
 
     @staticmethod

@@ -40,10 +40,10 @@ class Coulomb(Effect):
 
 @register
 class Stribeck(Effect):
-    """Friction that is higher near rest and fades with speed.
+    """Friction that is higher near rest and decays with speed.
 
     Attributes:
-        fade: how it fades: ``exponential`` as in the paper, ``gaussian``, or ``lorentz``.
+        fade: form of the decay: ``exponential`` as in the paper, ``gaussian``, or ``lorentz``.
     """
 
     name = "stribeck"
@@ -77,7 +77,7 @@ class Stribeck(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound near rest, and set the fade for other friction at this speed."""
+        """Raise the bound near rest, and set the decay for other frictions at this speed."""
         s.fade = stribeck_fade(s.speed, p.stribeck_velocity, p.stribeck_fade)
         s.friction_bound += p.static_friction_excess * s.fade
 

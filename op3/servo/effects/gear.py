@@ -10,7 +10,7 @@ from op3.servo.effects.presliding import deflection
 from op3.servo.law import dte_brake, dte_passive_loss, dte_power_loss, motor_leads, zones
 
 PASSIVE, POWER = 0, 2
-"""Places of the forms in their list."""
+"""Indices of the forms in their list."""
 
 
 @register
@@ -75,10 +75,9 @@ class DirectionalEfficiency(Effect):
 class MixedLubrication(Effect):
     """Larger friction of slowly sliding teeth: the loss of `dte` is larger near rest than at speed.
 
-    The coefficient of friction of a mesh falls from boundary to mixed lubrication as it speeds up. That the loss of
-    `dte` fades so is our own: of the sources one tabulates efficiency over speed, the other fades the sum of both
-    torques, with an exponent as well. Static friction, that of what presses the teeth together without load, fades as
-    the effect `stribeck` says.
+    The coefficient of friction of a mesh decreases from boundary to mixed lubrication with speed. The exponential decay
+    of the loss of `dte` is our own: one of the sources tabulates efficiency over speed, the other lets the sum of both
+    torques decay, with a further exponent. Static friction without load decays as in the effect `stribeck`.
     """
 
     name = "mixed_lubrication"

@@ -4,8 +4,8 @@ The ladder is that of Duclusaud et al., "Extended Friction Models for the Physic
 2025, arXiv 2410.08650): M1 is `coulomb` and `viscous`, M2 adds `stribeck` to it, M3 `load_friction` without excess; M4
 has both, and the excess; M5 has `directional_friction` in place of `load_friction`, and M6 adds
 `antagonistic_friction`. There the load is gravity's torque; here it is what the output transmits to its link, as for
-every effect. There friction near rest fades as ``exp(-|w / w_static|^alpha)`` with an alpha that is fitted (0.8 to 3 on
-their servos up to M4); here as the effect `stribeck` says, with an alpha of 1 or 2.
+every effect. There friction near rest decays as ``exp(-|w / w_static|^alpha)`` with an alpha that is fitted (0.8 to 3
+on their servos up to M4); here as in the effect `stribeck`, with an alpha of 1 or 2.
 
 Shares are searched up to 0.5 there (1 for the excess, 0.01 / (N m) for the squares, where fits of M6 often end); the
 wider ranges here are our own choice.
@@ -17,7 +17,7 @@ from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import antagonistic_friction, load_friction
 
 SUM = 0
-"""Place of that form in its list."""
+"""Index of that form in its list."""
 
 SOURCE = "Duclusaud et al. (2025), Extended Friction Models for the Physics Simulation of Servo Actuators"
 
@@ -28,10 +28,10 @@ class LoadFriction(Effect):
 
     Attributes:
         form: ``sum``: in proportion to what motor and load press together, as published. ``motor``: to the motor's
-            torque alone, as M5 with ``le = 0``, which its fits of MX-64 and XL330 nearly have (that of the XL-320
-            has the load's alone): most is lost in the first stages, which the load reaches through all others; twice
-            that, so that a share means the same in both forms to first order: in slow motion both torques are alike
-            but for what is lost. At a share of a half a motor cannot move this gear.
+            torque alone, as M5 with ``le = 0``, which its fits of MX-64 and XL330 nearly have (that of the XL-320 has
+            only the load's): most is lost in the first stages, which the load reaches through all others. The factor is
+            two, so that a share means the same in both forms to first order: in slow motion both torques are equal
+            except for the loss. With a share of one half a motor cannot move this gear.
     """
 
     name = "load_friction"

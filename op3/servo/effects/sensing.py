@@ -7,7 +7,7 @@ from op3.servo.effect import Effect, Parameter, Stage, Usual, register
 from op3.servo.law import lags_per_step
 
 BENT = 0
-"""Place of a velocity that bends with the angle in its list."""
+"""Index of the option ``bent`` in its list."""
 
 
 @register
@@ -104,7 +104,8 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def prepare(p):
-        """Lag in steps, and what a step leaves of a deviation and its slope times Tw: the exponential of a matrix."""
+        """Lag in steps, and the share of a deviation, and of its slope times Tw, that remains after a step: a matrix
+        exponential."""
         passed, shape = lags_per_step(p.velocity_time_constant, p.timestep), max(p.velocity_filter_shape, 1e-6)
         p.velocity_filter_lag = p.velocity_time_constant / p.timestep
         if 1.0 - 4.0 * shape > 1e-8:
@@ -120,7 +121,7 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The velocity has been constant for long."""
+        """The filter starts settled, as after a long time at constant velocity."""
         s.velocity_filter_filtered = s.velocity_filter_velocity = s.measured_velocity
         s.velocity_filter_slope = 0.0
         s.velocity_filter_knows = 1.0

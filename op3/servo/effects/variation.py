@@ -9,7 +9,7 @@ from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.effects.electrical import scaled
 
 FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
-"""What the left-right asymmetry of friction scales."""
+"""Parameters that the left-right asymmetry of friction scales."""
 
 
 @register
