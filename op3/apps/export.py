@@ -42,7 +42,7 @@ def main(cfg: DictConfig) -> CommandResult:
         text = to_mjcf(model, robot, cfg.p_gain, cfg.d_gain)
     out = Path(cfg.out or f"{robot.name}.{'json' if cfg.to == 'bam' else 'xml'}")
     write_text(out, text)
-    said = f"Not in it: {', '.join(lost)}." if lost else "All effects of the model are in it."
+    said = f"Omitted effects: {', '.join(lost)}." if lost else "All effects of the model are in it."
     if logs:
         errors = [predict_logs(one, logs).error_mrad for one in (model, kept)]
         if errors[0] is not None and errors[1] is not None:

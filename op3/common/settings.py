@@ -170,7 +170,7 @@ def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
         return Fault(place, given, "", f"is not a field{nearest(place[-1], _fields(kind, place))}")
     if name in ("missing", "missing_argument"):
         return Fault(place, given, "", "is missing: give it")
-    wanted = _WANTED[name].format(**context) if name in _WANTED else f"as it is described ({detail['msg']})"
+    wanted = _WANTED[name].format(**context) if name in _WANTED else f"valid ({detail['msg']})"
     return Fault(place, given, wanted, f"must be {wanted}, got {shown(given)}")
 
 

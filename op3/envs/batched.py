@@ -74,7 +74,7 @@ class BatchedEnv(EnvBase):
                 self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
         except (RuntimeError, ValueError) as error:
             if "can't allocate memory" in str(error):  # torch has no error of its own for it on processors
-                raise MemoryError(f"no memory for {num_envs} robots") from None
+                raise MemoryError(f"not enough memory for {num_envs} robots") from None
             raise
         drawn = self.mdp.event("randomisation")
         self.parameters_drawn: dict[str, Tensor] = {} if drawn is None else drawn.drawn

@@ -123,7 +123,7 @@ class Obedience:
     def __str__(self) -> str:
         forward, sideways, turning = self.errors
         return (
-            f"commands missed by {forward:.3f} m/s forward, {sideways:.3f} m/s sideways, {turning:.3f} rad/s turning"
+            f"velocity errors are {forward:.3f} m/s forward, {sideways:.3f} m/s sideways, {turning:.3f} rad/s turning"
             f" (RMS over strides); {self.upright} of {self.robots} upright; {self.stopped} of {self.robots} stop within"
             f" 2 s; heading drifts by {np.degrees(self.yaw_drift):.0f} deg in 20 s"
         )

@@ -30,13 +30,13 @@ UPRIGHT = (0.0, 0.0)
 """Roll and pitch of the stand [rad]."""
 
 TILTED = (0.5, 0.8)
-"""The other orientation of the stand [rad]: gravity pulls on every joint in another way, springs do not."""
+"""The other orientation of the stand [rad]: it changes the torques of gravity, but not those of springs."""
 
 SLOW_RATES = (0.02, 0.05, 0.1, 0.2, 0.3, 0.15)
 """Speeds of the slow triangles [rad/s]; each joint meets several of them."""
 
 OTHER_LEG = 500_000
-"""What is added to the seed for the left leg."""
+"""Offset of the left leg's seed."""
 
 Array = NDArray[np.float64]
 

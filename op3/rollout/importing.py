@@ -361,7 +361,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
             others = [n for n in columns if (found := place(n)) and found[0] == channel and n not in wanted]
             if others and channel.required:
-                problem = f"there are {', '.join(others[:6])}, but none belongs to {', '.join(metadata.joints[:6])}"
+                problem = f"none of the columns {', '.join(others[:6])} belongs to {', '.join(metadata.joints[:6])}"
                 remedy = f"name their joints under `columns:` in the YAML, as in `<column>: {missing[0]}`"
             raise LogError(problem, remedy, column=missing[0], row="header")
     for name in ("firmware_gain", "p_gain", "d_gain"):

@@ -140,7 +140,7 @@ _UPWARDS = "Specific force in the body frame, +9.81 m/s2 upwards at rest."
 _ANSWERED = "1 where the servo answered in this row; 0 where its values are those of an earlier row."
 _NINE = "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's own axes."
 _UNSHIFTED = "Present position register, without calibration offset."
-_LATENESS = "How long after its deadline the tick of this row began."
+_LATENESS = "Delay of this row's tick after its deadline."
 
 _TABLE = (
     Channel("time", Quantity("s"), "time", "Time of the row, strictly increasing.", "required"),
@@ -161,8 +161,8 @@ _TABLE = (
     Channel("imu/orientation", ANGLE, "imu.{axis}", "Roll, pitch, yaw of the trunk."),
     Channel("imu/angular_velocity", BODY_RATE, "imu.gyro_{axis}", "Angular velocity in the body frame."),
     Channel("imu/linear_acceleration", FORCE, "imu.acc_{axis}", _UPWARDS),
-    Channel("policy/observation", NUMBER, "policy.observation_{index}", f"What the policy saw, {_POLICY}", _HOLD),
-    Channel("policy/action", NUMBER, "policy.action_{index}", f"What the policy answered, {_POLICY}", _HOLD),
+    Channel("policy/observation", NUMBER, "policy.observation_{index}", f"Observation of the policy, {_POLICY}", _HOLD),
+    Channel("policy/action", NUMBER, "policy.action_{index}", f"Action of the policy, {_POLICY}", _HOLD),
     Channel("policy/reward", NUMBER, "policy.reward", f"Reward of the policy step, {_POLICY}", _HOLD),
     Channel(
         "raw/goal_current", _AMPERE, "{joint}.raw_goal_current", "Goal current last sent, after every limit.", _HOLD

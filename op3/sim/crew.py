@@ -63,8 +63,8 @@ class Crew(Generic[T]):
         except BrokenProcessPool as error:
             self._others = None
             raise ChildProcessError(
-                "a worker process has ended, which happens when memory runs out; the same command goes"
-                " on, with processes=1 in this process alone"
+                "a worker process has ended, usually because memory ran out; run the same command"
+                " again to continue, with processes=1 if memory is short"
             ) from error
 
 

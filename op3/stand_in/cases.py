@@ -369,7 +369,7 @@ def open_answers(answers: str | Path, commitment: str | Path | None = None) -> d
     sealed = {line[66:]: line[:64] for line in lines if line}
     found = {path.name: path.read_bytes() for path in sorted(answers.glob("*.yaml"))}
     for name in sorted(set(sealed) ^ set(found)):
-        raise ValueError(f"{name} is {'sealed but gone' if name in sealed else 'there but was never sealed'}")
+        raise ValueError(f"{name} is {'sealed but missing' if name in sealed else 'present but was never sealed'}")
     opened = {}
     for name, content in found.items():
         if hashlib.sha256(content).hexdigest() != sealed[name]:

@@ -267,7 +267,7 @@ def _resume(
         )
     had, has = flat(state["config"]), flat(config)
     for name in sorted(name for name in had.keys() | has.keys() if had.get(name) != has.get(name)):
-        say(f"resumed with {name}={has.get(name)}, which was {had.get(name)}")
+        say(f"resumed with {name}={has.get(name)}, was {had.get(name)}")
     try:
         algorithm.load_state_dict(state["algorithm"])
         return Progress(**state["run"])

@@ -59,7 +59,7 @@ class ReturnsBench:
         num_threads: int = 0,
     ):
         if episodes < 1:
-            raise ValueError(f"a policy is judged by at least one episode, got {episodes}")
+            raise ValueError(f"the returns need at least one episode, got {episodes}")
         self.policy, self.model, self.task = policy, model, find_task(task)
         self.episodes, self.seed = episodes, seed
         self._num_threads = num_threads

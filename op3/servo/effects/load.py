@@ -8,7 +8,7 @@ every effect. There friction near rest decays as ``exp(-|w / w_static|^alpha)`` 
 on their servos up to M4); here as in the effect `stribeck`, with an alpha of 1 or 2.
 
 Shares are searched up to 0.5 there (1 for the excess, 0.01 / (N m) for the squares, where fits of M6 often end); the
-wider ranges here are our own choice.
+wider ranges here are chosen by us.
 """
 
 from typing import Literal
@@ -44,7 +44,7 @@ class LoadFriction(Effect):
     source = f"{SOURCE}, models M3 and M4"
     parameters = (
         Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
-        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
+        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "additional friction near rest, ls", least=0.0),
     )
     secants = ({"load_friction": 0.05}, {"load_friction": 0.2})
     fingerprint = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
@@ -82,7 +82,7 @@ class DirectionalFriction(Effect):
     )
     # a share of the motor's torque alone is `load_friction` of the form `motor`
     secants = ({"external_friction": 0.1},)
-    fingerprint = "odd in velocity; one width of the loop where the motor leads, another where the load leads"
+    fingerprint = "odd in velocity; one width of the loop if the motor drives, another if the load drives"
     confounders = ("dte", "load_friction", "antagonistic_friction")
     separating_experiment = "hold test at two loads, raising and lowering; motion with the torque off"
 
@@ -106,8 +106,8 @@ class AntagonisticFriction(Effect):
     )
     source = f"{SOURCE}, model M6"
     parameters = (
-        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger", least=0.0),
-        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
+        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, if the load's torque is larger", least=0.0),
+        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, if the motor's torque is larger", least=0.0),
     )
     secants = ({"external_square": 0.2}, {"motor_square": 0.2})
     fingerprint = "near rest only, growing with the square of the weaker torque where motor and load oppose each other"

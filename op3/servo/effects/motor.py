@@ -40,7 +40,7 @@ class Motor(Effect):
         Parameter("terminal_resistance", "ohm", 4.0, 9.0, 6.5, None, "of the motor and its driver", least=1e-3),
         Parameter("armature", "kg m^2", 0.0025, 0.011, 0.00675, None, "rotor inertia seen at the joint", least=0.0),
     )
-    # no maker of hobby servos says how much they differ; data of motors hold within +-10 % (Beckhoff AM8100, "technical
+    # no maker of hobby servos states their spread; data of motors hold within +-10 % (Beckhoff AM8100, "technical
     # data"), taken here as two standard deviations
     spread = {"torque_constant": 0.05, "terminal_resistance": 0.05}
     memory = ("wanted", "bus_voltage")

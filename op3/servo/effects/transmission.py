@@ -72,12 +72,12 @@ class Backlash(Effect):
     equation = "tau = K dz(q_rotor - q, delta), dz(x, delta) = sign(x) max(|x| - delta, 0)"
     source = (
         "X series: 15 arcmin in all, delta = 2.2 mrad when new, MX 20 arcmin (ROBOTIS e-Manual); Feetech STS 0.5"
-        " degrees at most; stiffness and inertia our own choice"
+        " degrees at most; stiffness and inertia chosen by us"
     )
     parameters = (
-        Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the play", least=0.0),
+        Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the backlash", least=0.0),
         Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth", least=1.0, searched=False),
-        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the play", least=0.0, searched=False),
+        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after backlash", least=0.0, searched=False),
     )
     constants = ("stiffness", "friction")
     stiff = True
@@ -90,7 +90,7 @@ class Backlash(Effect):
         " while the torque keeps its sign"
     )
     confounders = ("stribeck", "lugre", "compliance", "latency")
-    separating_experiment = "hold two loads of opposite sign: a step of the angle by the play"
+    separating_experiment = "hold two loads of opposite sign: a step of the angle by the backlash"
 
     damping_ratio: float = 0.04
 
@@ -192,10 +192,10 @@ class Compliance(Effect):
     stage = Stage.TRANSMISSION
     rank = 1
     equation = "tau = (q_rotor - q) / c"
-    source = "spring and damper between rotor and link; from 50 N m/rad on, loss factor 0.08, our own choice"
+    source = "spring and damper between rotor and link; from 50 N m/rad on, loss factor 0.08, chosen by us"
     parameters = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
-        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the spring", least=0.0, searched=False),
+        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after the spring", least=0.0, searched=False),
     )
     acts_in = "backlash"
     stiff = True
