@@ -22,13 +22,13 @@ def part(function: Callable[..., Any]) -> Any:
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """A function over arrays that Python calls, compiled at its first call and kept on disk where that can be.
+    """A function over arrays that Python calls, compiled at its first call and cached on disk if possible.
 
     The cache is valid while its source file and the law are unchanged; all other functions that it calls are in that
-        file.
+    file.
 
-    Where neither the package's folder nor the user's cache can be written, each process recompiles; the environment
-    variable `NUMBA_CACHE_DIR` names another folder. It releases the GIL.
+    If neither the package's folder nor the user's cache is writable, each process recompiles; the environment variable
+    `NUMBA_CACHE_DIR` names another folder. The function releases the GIL.
     """
     try:
         return numba.njit(cache=True, nogil=True, **OPTIONS)(function)
