@@ -1,4 +1,4 @@
-"""All measurements of one policy, on the same episodes as everyone else's."""
+"""All measurements of one policy, on the same episodes for every policy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What was found about one policy.
+    """Results of one policy.
 
     Attributes:
         passed: by ground.

@@ -1,4 +1,4 @@
-"""Whether a walking robot can be led: pulled slowly by its trunk or by a foot, beside a twin that is left alone."""
+"""Whether a walking robot can be led: pulled slowly by its trunk or by a foot, compared with a twin without a pull."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -114,7 +114,8 @@ class _Places:
 
 
 def _against_twins(seen: Array, upright: NDArray[np.bool_], way: Array, episodes: int, cycle: float) -> dict[str, Led]:
-    """Displacements of robots ``[step, sim, 2, 3]`` from those left alone, who are the last, averaged over cycles."""
+    """Displacements of robots ``[step, sim, 2, 3]`` from the twins without a pull, which are the last, averaged over
+    cycles."""
     count, period = len(way), TICKS * CONTROL_PERIOD
     twins = np.tile(seen[:, count:], (1, len(PULLS), 1, 1))
     moved = np.einsum("tsci,si->tsc", seen[:, :count] - twins, way)

@@ -1,10 +1,10 @@
-"""What one leg, or the whole OP3, is asked to do on the stand so that its servos show everything they hide.
+"""Suites of motions of one leg, or the whole OP3, on the stand, for a diagnosis of its servos.
 
 The suite takes about 100 s: slow triangles, multisines at high and low gain, squats, steps that exhaust the supply
 voltage, holds at two loads, two orientations of the stand, cold and warm servos, and commands that are repeated.
-`leg_walking` is the opposite, a leg that only walks, with which many effects cannot be told apart. The suites of the
-whole robot give the left leg another one, mirrored, and move arms and head beside them; whether limbs would meet is not
-looked at, so they are for simulated robots.
+`leg_walking` is a poor excitation, a leg that only walks, with which many effects cannot be distinguished. The suites
+of the whole robot give the left leg another one, mirrored, and move arms and head beside them; collisions of limbs are
+not checked, so these suites are only for simulated robots.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A log while it is being recorded: stretch by stretch, with what a model makes of the same commands as the overlay."""
+"""A log while it is recorded, part by part, with a model's simulation of the same commands as an overlay."""
 
 import time
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The story of a transfer from simulation to a robot, on one page."""
+"""The page of a transfer from simulation to a robot."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ def report_transfers(
     learning: Curves | None = None,
     following: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Publish the story of a transfer.
+    """Publish the page of a transfer.
 
     Args:
         transfers: first attempt first.

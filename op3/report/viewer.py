@@ -1,4 +1,4 @@
-"""What was done, to look at: a window that plays it, an mp4, or a recording for rerun; plots beside the robots."""
+"""Viewer of runs: a window, an mp4, or a recording for rerun, with plots beside the robots."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false

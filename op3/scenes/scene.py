@@ -112,7 +112,8 @@ class Scene:
         """A MuJoCo model of the tree as it is now. Every call recompiles.
 
         Args:
-            visual: whether geoms that only pictures show are in it. Without them all moves alike, and faster.
+            visual: whether geoms that only pictures show are in it. Without them the motion is identical and the
+                simulation faster.
         """
         try:
             spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
@@ -215,7 +216,7 @@ def build_scene(
 
 
 def check_scene(name: str, robot: Robot) -> None:
-    """Refuse a scene that there is not, or on which a robot cannot be put down."""
+    """Refuse an unknown scene, or one on which a robot cannot be put down."""
     if name not in SCENES and "." not in name:
         raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}, or give an MJCF file or package.function")
     if name not in ("stand", "bench") and not robot.sole_geoms:

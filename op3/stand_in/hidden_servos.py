@@ -35,7 +35,7 @@ class HiddenServos:
         velocity: the servos' own estimates [joint] in rad/s.
 
     Args:
-        world: the truth.
+        world: the hidden parameters.
         hidden: what is hidden besides.
         joints: names [joint].
         makes: of the servos [joint]. A world's numbers are those of an XM430-W350, and of another make in proportion of
@@ -68,7 +68,7 @@ class HiddenServos:
         self.states["temperature"] = self.states["air"] = world.ambient_temperature
 
     def _fill(self, limits: Array) -> None:
-        """What the world alone says."""
+        """Parameters from the world only."""
         world, servos, robot = self.world, self.servos, self.robot
         joints = world.per_joint(len(servos))
         servos["constant"] = joints["torque_constant"]
@@ -144,17 +144,17 @@ class HiddenServos:
 
     @property
     def reading(self) -> Array:
-        """What the current sensors read, without noise [joint] in A."""
+        """Readings of the current sensors, without noise [joint] in A."""
         return self.states["current"] + self.servos["current_offset"]
 
     @property
     def voltage(self) -> Array:
-        """What the servos get [joint] in V."""
+        """Voltage at the servos [joint] in V."""
         return self.robot["bus_voltage"] * self.servos["supply_share"]
 
     @property
     def encoders(self) -> Array:
-        """What the encoders say before rounding [joint] in rad."""
+        """Readings of the encoders before rounding [joint] in rad."""
         return encoders(self.servos, self.states["position"])
 
     def angles(self, reading: Array) -> Array:

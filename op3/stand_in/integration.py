@@ -4,7 +4,7 @@ The forms are chosen to differ from those that identification fits. The gear's l
 instead of comparing torques. Friction is an elastic element that slides at a bound (Prandtl's element, the
 elasto-plastic limit of the LuGre bristle; Dupont et al. 2002, Hayward and Armstrong 2000), or LuGre's bristle itself
 (Canudas de Wit et al. 1995), instead of a constraint of the physics engine. A loose gear has a motor side with an angle
-of its own. Parameters and states of all servos are records, one per joint; what is zero is not there.
+of its own. Parameters and states of all servos are records, one per joint; a zero parameter switches its effect off.
 """
 
 from __future__ import annotations
@@ -279,7 +279,7 @@ def step_limbs(servos, states, robot, index, mount, position, velocity, accelera
 
 @njit(cache=True)
 def encoder(p, position: float) -> float:
-    """What the encoder says before rounding [rad]."""
+    """Reading of the encoder before rounding [rad]."""
     if p.encoder_bend == 0:
         return position + p.encoder_offset
     bent = np.sin(position + p.encoder_phase) + 0.3 * np.sin(2 * (position + p.encoder_phase))
@@ -288,7 +288,7 @@ def encoder(p, position: float) -> float:
 
 @njit(cache=True)
 def encoders(servos, position) -> NDArray[np.float64]:
-    """What all encoders say before rounding [joint] in rad, of joints at `position`."""
+    """Readings of all encoders before rounding [joint] in rad, of joints at `position`."""
     said = np.empty(len(servos))
     for j in range(len(servos)):
         said[j] = encoder(servos[j], position[j])

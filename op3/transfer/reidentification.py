@@ -1,4 +1,4 @@
-"""Re-identification from failed transfers: match what episodes were worth, not how they went (paper, eq. 6).
+"""Re-identification from failed transfers: match the returns of episodes, not their time series (paper, eq. 6).
 
 Two objectives: the loss of the excitation, eq. (7), and the Wasserstein-1 distance between the returns under R_eval
 that a policy got on the robot and those that it gets in simulation.
