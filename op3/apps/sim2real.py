@@ -344,7 +344,7 @@ def learning(folder: Path, stages: Stages) -> dict[str, tuple[list[float], list[
 
 
 def following(folder: Path, last: Transfer) -> list[str]:
-    """What to do next."""
+    """Commands to run next."""
     episode = next(iter(sorted(path for path in last.episodes.iterdir() if path.is_dir() and path.name[0] != ".")), "")
     return [
         f"op3 view {episode}  # an episode on the robot",

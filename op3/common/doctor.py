@@ -18,7 +18,7 @@ LATENCY = 1
 """Milliseconds that a USB adapter may hold back bytes: more makes a tick of 8 ms take 15 to 20."""
 
 ADAPTERS = Path("/sys/bus/usb-serial/devices")
-"""Where the kernel shows serial adapters."""
+"""Folder in which the kernel lists serial adapters."""
 
 Line = tuple[str, str, str]
 """State, topic, and finding with its fix."""

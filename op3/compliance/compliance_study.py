@@ -34,7 +34,7 @@ FAMILY = tuple((step, height) for step in (0.03, 0.045, 0.06) for height in (0.0
 """Steps and foot heights [m] of the stiff walks that landings are compared with."""
 
 MINUTE = 60.0
-"""How long robots stand [s]; the losses of its halves show whether it may be extrapolated to an hour."""
+"""Duration of standing [s]; the losses of its halves show whether it may be extrapolated to an hour."""
 
 STANDING = 4
 """Robots that stand."""
@@ -42,7 +42,7 @@ STANDING = 4
 
 @settings("sizes")
 class Sizes:
-    """How much is measured.
+    """Number of episodes and states that are measured.
 
     Attributes:
         episodes: of walking on each ground.

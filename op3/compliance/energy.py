@@ -97,7 +97,7 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, robot: Robot, mas
 
 
 def robot_mass(env: BatchedEnv) -> float:
-    """Of each robot [kg]."""
+    """Mass of each robot [kg]."""
     return float(env.simulation.batch.get_model(0).body_subtreemass[0])
 
 

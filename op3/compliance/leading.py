@@ -70,7 +70,7 @@ def lead(
     """Pull walking robots in every way of `PULLS`, with a force that grows evenly.
 
     Args:
-        episodes: for each pull; all pulls and the twins begin alike.
+        episodes: for each pull; all pulls and the twins have the same initial states.
         **options: further arguments of `op3.envs.make_env`.
     """
     count = len(PULLS) * episodes
@@ -97,7 +97,7 @@ def lead(
 
 
 class _Places:
-    """Where trunks and left feet are."""
+    """Positions of trunks and left feet."""
 
     def __init__(self, env: Any):
         batch, robot = env.simulation.batch, env.scene.robot

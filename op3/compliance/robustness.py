@@ -127,7 +127,7 @@ class Passed:
 
 
 def verdict(nominal: Passed, task: Task) -> Literal["WALKS", "STANDS", "FALLS"]:
-    """What a policy does, by `ENOUGH` robots that are as it was trained."""
+    """Verdict on a policy: the behaviour of a share `ENOUGH` of the robots without a variation."""
     if task.cycle is not None and nominal.successes >= ENOUGH * nominal.episodes:
         return "WALKS"
     return "STANDS" if nominal.upright >= ENOUGH * nominal.episodes else "FALLS"

@@ -136,7 +136,7 @@ class Keyboard(CommandSource):
         "q": (0.0, 0.05, 0.0),
         "e": (0.0, -0.05, 0.0),
     }
-    """What each key adds [m/s, m/s, rad/s]."""
+    """Increment of each key [m/s, m/s, rad/s]."""
 
     def __init__(self, stream: int | None = None):
         self._stream = sys.stdin.fileno() if stream is None else stream

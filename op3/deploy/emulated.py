@@ -78,7 +78,7 @@ class Hands(Operator):
         self._robot.at(self._robot.time + LOOK_EVERY, self._look)
 
     def travelled(self) -> float | None:
-        """How much further the inner tip of the foremost foot has been since the policy began [m]; None before it."""
+        """Largest advance of the foremost foot's inner tip since the policy began [m]; None before it."""
         return None if self._origin is None else self._reached - self._origin
 
 

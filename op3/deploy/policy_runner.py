@@ -143,7 +143,7 @@ class PolicyRunner:
 
 
 STOPPING = 2.0
-"""How long before its end a commanded walk gets a zero command [s]: the robot then comes to rest."""
+"""Time before the end of a commanded walk at which the command becomes zero [s], so that the robot comes to rest."""
 
 
 class FollowPolicy(Phase):

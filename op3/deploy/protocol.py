@@ -226,7 +226,7 @@ class Parser:
             found.append(Packet(device, body[0], body[1:]))
 
     def _begin(self) -> int:
-        """Where a header begins, or could begin with the bytes to come."""
+        """Index at which a header begins, or may begin with the next bytes."""
         buffer = self._buffer
         at = buffer.find(HEADER)
         if at >= 0:

@@ -85,7 +85,7 @@ BLOCKS = (
 
 BOARD_ADDRESS = OPEN_CR["button"].address
 BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
-"""What a tick reads from an OpenCR: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
+"""Registers that a tick reads from an OpenCR: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,7 @@ class CalibrationFile:
 
 
 class Calibration:
-    """What is added to a servo's angle to give the joint angle.
+    """Offsets that are added to the servos' angles to give joint angles.
 
     Args:
         offset: [joint] in rad; None for none.

@@ -17,12 +17,13 @@ GAIN = 1e-3
 """Smallest decrease of the loss per step, as a share of it; a smaller one ends the refinement."""
 
 LENGTHENED = 2
-"""How often too short difference steps are lengthened."""
+"""Number of times that too short difference steps are lengthened."""
 
 
 @dataclass(frozen=True, eq=False)
 class Polished:
-    """Where the steps ended, the residual's squared length before and after every step, and sensitivities there."""
+    """The final point, the residual's squared length before and after every step, and sensitivities at the final
+    point."""
 
     values: Mapping[str, float]
     history: Sequence[float]

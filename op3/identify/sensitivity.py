@@ -65,7 +65,7 @@ class Sensitivity:
 
     Attributes:
         box: of the parameters.
-        unit: the point, as a share of the ranges, ``[parameter]``.
+        unit: the point, in shares of the ranges, ``[parameter]``.
         residual: there, ``[residual]``.
         jacobian: change of the residual per range, ``[residual, parameter]``.
         jumps: samples of the residual's stiction jumps, from second differences, ``[direction, residual]``.

@@ -184,7 +184,7 @@ def staircase(
 
 
 def amplitudes(robot: Robot, share: float = SHARES[0]) -> dict[str, float]:
-    """How far each controlled joint may move around home [rad]: a share of the way to its nearer limit."""
+    """Allowed excursion of each controlled joint around home [rad]: a share of the way to its nearer limit."""
     columns = robot.indices(robot.controlled)
     low, high = robot.limits[columns].T
     reach = share * np.minimum(robot.home[columns] - low, high - robot.home[columns])

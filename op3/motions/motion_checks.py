@@ -15,7 +15,7 @@ def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
 
     Args:
         motion: of a robot, which is at home in the joints that it does not name.
-        mount: where it is to be played, "floor" or "stand"; None: anywhere it is made for.
+        mount: "floor" or "stand"; None: any mount of the motion.
     """
     if mount is not None and mount not in motion.mounts:
         places = " or ".join(f"mount={place}" for place in motion.mounts)

@@ -21,7 +21,7 @@ from op3.motions.motion import Motion
 from op3.motions.op3_motions import op3_robot, squat_position
 
 JOINTS_PER_LEG, KNEE = 6, 3
-"""How many joints a leg has, and the place of the knee among them."""
+"""Number of joints of a leg, and the index of the knee among them."""
 
 RUN_DURATION = 4.0
 """Length of one run [s]."""

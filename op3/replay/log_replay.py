@@ -257,7 +257,7 @@ class _Channels(Mapping[tuple[str, str], Tensor]):
 
 
 def _mount(log: Rollout) -> tuple[str, float, float]:
-    """What holds the robot, and the roll and pitch of a stand, to a hundredth of a radian."""
+    """The mount of the robot, and the roll and pitch of a stand, to a hundredth of a radian."""
     tilt = stand_tilt(log) if log.metadata.mount == "stand" else None
     return log.metadata.mount, *(tilt or (0.0, 0.0))
 

@@ -45,7 +45,7 @@ PREROLL = 4
 """Ticks before a window in which the joints are guided along the measurement."""
 
 CHANNELS = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
-"""What is compared."""
+"""Compared channels."""
 
 
 @dataclass(frozen=True, eq=False)

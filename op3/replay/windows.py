@@ -109,7 +109,7 @@ class WindowResiduals:
 
     @property
     def lengths(self) -> list[float]:
-        """Of the arms of a bench [m]; none of a robot."""
+        """Lengths of the arms of a bench [m]; none for a robot."""
         told = [log.log.metadata for log in self.smooth_logs]
         return [float(one.length) for one in told if one.mount == "pendulum" and one.length]
 
@@ -324,7 +324,7 @@ class WindowResiduals:
         return [(dict(zip(fields, key, strict=True)), at) for key, at in mine.items()]
 
     def by_window(self, values: np.ndarray, end: bool = False) -> np.ndarray:
-        """What lies along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads; if
+        """Values along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads; if
         asked with the tick at which a window ends."""
         windows = values.reshape(len(self.windows), PREROLL + self.ticks + 1, *values.shape[1:])
         return windows[:, PREROLL : None if end else -1]
@@ -375,7 +375,7 @@ def _begins(logs: Sequence[SmoothLog]) -> dict[int, float]:
 
 
 def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
-    """What holds and carries the joints of a log."""
+    """The base that holds the joints of a log."""
     told = log.log.metadata
     if told.mount == "pendulum":
         return PendulumBase(float(told.mass or 0.0), float(told.length or 0.0))

@@ -228,4 +228,4 @@ NUMBERS = {
     },
     "energy": lambda each: _energy_numbers(each.energy),
 }
-"""What ``result.yaml`` says of each policy, by kind."""
+"""Entries of ``result.yaml`` for each policy, by kind."""

@@ -38,7 +38,7 @@ class Tracks:
 
     @property
     def duration(self) -> float:
-        """Of the first [s]."""
+        """Duration of the first log [s]."""
         return next(iter(self.logs.values())).duration
 
     def states(self, rate: float) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What a check of a log finds."""
+"""The finding of a check of a log."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ RESERVED = ("imu", "policy", "raw")
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a channel measures.
+    """Physical quantity of a channel.
 
     Attributes:
         unit: Unit, as printed in messages and tables; empty for pure numbers.

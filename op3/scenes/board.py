@@ -177,7 +177,7 @@ class BoardDrive:
 
 
 LOWERING_SPEED = 0.1
-"""How fast a hand lowers the weight [m/s]; ours."""
+"""Speed at which a hand lowers the weight [m/s]; ours."""
 
 HAND_STIFFNESS = 200.0
 """Stiffness with which the hand holds the weight at its intended height [N/m]; it lets go within 0.5 s of touching the

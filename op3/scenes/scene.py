@@ -91,7 +91,7 @@ class Scene:
 
     @property
     def mounted_specific_force(self) -> NDArray[np.float64]:
-        """What an accelerometer on a fixed base reads [xyz] in m/s^2, in the base's frame.
+        """Reading of an accelerometer on a fixed base [xyz] in m/s^2, in the base's frame.
 
         MuJoCo's own accelerometer reads zero on a body that cannot move, where a real one reads gravity, so a
         log of the stand takes this instead of the sensor.
@@ -102,7 +102,7 @@ class Scene:
         return -rotation_matrix(self.tilt_roll, self.tilt_pitch).T @ gravity
 
     def foremost(self, data: mujoco.MjData) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
+        """Forward position of the foremost foot's inner tip in the world [m]; 0 without feet."""
         if self.robot is None or not self.robot_file.inner_tips:
             return 0.0
         points = self.robot.key_points

@@ -213,8 +213,8 @@ class WindowSimulation:
         """Edits of bodies that differ from the dynamics along the motions, and where joints may be misread.
 
         Returns:
-            Dynamics per unit ``[edit, row, entry]``, weights ``[candidate, edit]``, and the edit that tells of a joint
-            that stands elsewhere than it is read, ``[joint]``, or -1.
+            Dynamics per unit ``[edit, row, entry]``, weights ``[candidate, edit]``, and the edit for the encoder offset
+            of each joint, ``[joint]``, or -1.
         """
         known, acting = self.model.parameters(), []
         for name, joint in sorted(self._apart[0].changes, key=str):

@@ -134,7 +134,7 @@ class HiddenServos:
 
     @property
     def records(self) -> tuple[Records, Records, np.void]:
-        """What the kernel takes: parameters, states, and what is shared."""
+        """Arguments of the kernel: parameters, states, and shared values."""
         return self.servos, self.states, self.robot[0]
 
     @property
@@ -158,7 +158,7 @@ class HiddenServos:
         return encoders(self.servos, self.states["position"])
 
     def angles(self, reading: Array) -> Array:
-        """Where joints are whose encoders say `reading` [joint] in rad."""
+        """Angles of joints whose encoders read `reading` [joint] in rad."""
         position = reading
         for _ in range(6):
             position = position + reading - encoders(self.servos, position)
@@ -212,7 +212,7 @@ def _stop(effect: Hidden, near: Array) -> dict[str, Array | float]:
 
 
 def _written(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    """What an effect writes into the records of its servos; nothing for those of links, bus and world.
+    """Values that an effect writes into the records of its servos; none for effects of links, bus and world.
 
     Args:
         servos: parameters before it, records [joint].

@@ -1,4 +1,4 @@
-"""What one servo does in a fraction of a millisecond, in scalar code compiled by numba.
+"""One step of a servo, a fraction of a millisecond, in scalar code compiled by numba.
 
 The forms are chosen to differ from those that identification fits. The gear's loss follows the sign of the power
 instead of comparing torques. Friction is an elastic element that slides at a bound (Prandtl's element, the
@@ -164,7 +164,7 @@ def gear_ripple(p, torque: float, position: float) -> float:
 
 @njit(cache=True)
 def teeth(p, s) -> float:
-    """What a loose or soft gear passes on [N m]: nothing in the gap, no pull, an elastic push beside it."""
+    """Torque that a loose or soft gear transmits [N m]: nothing in the gap, no pull, an elastic push beside it."""
     twist = s.gear_position - s.position
     pressed = max(abs(twist) - p.half_gap, 0.0)
     # curved flanks are soft at first touch (Hertz) and as stiff as the plain form at 1 mrad
@@ -178,7 +178,7 @@ def teeth(p, s) -> float:
 
 @njit(cache=True)
 def link_torque(p, s, step: float, time: float) -> float:
-    """What acts on the joint itself [N m]: end stops, cables, obstacles, yielding elements, vibration."""
+    """Torque on the joint itself [N m]: end stops, cables, obstacles, yielding elements, vibration."""
     torque = s.noise
     if s.position < p.low or s.position > p.high:
         beyond = s.position - (p.low if s.position < p.low else p.high)

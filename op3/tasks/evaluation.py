@@ -90,7 +90,8 @@ def evaluation_terms(
 
 
 def travel_term(task: Task, speed: Tensor) -> Tensor:
-    """What a mean forward speed [m/s], ``[...]``, adds to every step; its sideways part is unknown and counts as 0."""
+    """Contribution of a mean forward speed [m/s], ``[...]``, to every step; the sideways speed is unknown and counts as
+    0."""
     velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
     upright = torch.zeros_like(velocity)

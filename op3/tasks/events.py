@@ -28,11 +28,11 @@ __all__ = ["Board", "Placement", "Pushing", "Randomisation", "Terrain"]
 Array = NDArray[np.float64]
 
 BoardMotion = Literal["still", "waves", "tilts", "weight"]
-"""What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
+"""Motions of a board: none, random waves, steps between two tilts, or a weight that is lowered on it."""
 
 
 class Placement:
-    """Random initial states about the home pose at rest; standard deviations, our own choice.
+    """Random initial states about the home pose at rest, with standard deviations chosen by us.
 
     Args:
         joint_position: of each controlled joint [rad].

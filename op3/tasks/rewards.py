@@ -50,8 +50,8 @@ Siekmann et al. (2021) smooth the boundaries in this way; the paper gives no num
 """
 
 FOOT_OFFSETS = {2: (0.0, 0.5), 4: (0.0, 0.5, 0.5, 0.0)}
-"""Where in the cycle each foot is when the phase is 0, by the number of feet: two half a cycle apart; four in diagonal
-pairs (a trot), where the file names both front feet and then both hind feet."""
+"""Phase of each foot in the cycle when the phase of the gait is 0, by the number of feet: two half a cycle apart; four
+in diagonal pairs (a trot), where the file names both front feet and then both hind feet."""
 
 LOADED_SHARE = 0.648
 """Force at which a foot counts as loaded, as a share of the weight that it carries when all stand.

@@ -56,7 +56,7 @@ RISES = (0.1, 0.25, 0.6)
 
 
 class Simulations:
-    """What is simulated of candidates; several processes, each with one of these, share them.
+    """Simulations of candidates; several processes share the candidates, each with one of these objects.
 
     The arguments are those of `Reidentification`; `joints` are the focusing joints, and `num_threads` step the physics,
     0 for all processors.

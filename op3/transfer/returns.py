@@ -24,7 +24,7 @@ ROWS = 96
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """How a policy fares on candidate models.
+    """Returns of a policy on candidate models.
 
     The distance walked is looked at once per policy step, where a log has it at every tick; the returns of walking
     differ by less than a thousandth.

@@ -201,7 +201,8 @@ class EmulatedRobot:
         return bytes_.view(register.kind)[:, 0].astype(np.int64)
 
     def _goal_current(self) -> NDArray[np.float64]:
-        """What the servos regulate [joint] in A; the limit may have been lowered since the goal was written."""
+        """Currents that the servos regulate [joint] in A; the limit may have been lowered since the goal was
+        written."""
         bound = self._column("current_limit")
         return self._column("goal_current").clip(-bound, bound) * self._units.current
 

@@ -24,7 +24,7 @@ from op3.rollout.rollout import Rollout
 
 @settings("the entry")
 class Column:
-    """What a column of a file means: the SI value is ``sign * size of the unit * number + offset``.
+    """Meaning of a column of a file: the SI value is ``sign * size of the unit * number + offset``.
 
     Attributes:
         name: Column of the wide CSV (`elbow.position`, `imu.gyro_x`, `time`); None where it is left out.

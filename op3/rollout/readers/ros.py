@@ -35,7 +35,7 @@ _TRAJECTORY_STEP = 0.01
 """Time between samples of a trajectory [s]."""
 
 _SHARED = 1.0
-"""Clocks of headers that are set alike differ by no more [s]."""
+"""Largest difference of synchronised clocks of headers [s]."""
 
 _PUBLISHED = 5
 """Smallest number of messages by which a second publisher is recognised."""
