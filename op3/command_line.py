@@ -136,7 +136,7 @@ def _launch(app: str, module: str) -> None:
 
 
 def choices_of_resumed(words: Sequence[str]) -> list[str]:
-    """What a run that is to be resumed chose of the groups its settings come from, so that each can be overridden."""
+    """The config groups that a run to be resumed has chosen, so that each can be overridden."""
     given = {name: value for name, _, value in (word.partition("=") for word in words)}
     file = Path(given.get("resume", "").strip("'\"")) / ".hydra" / "hydra.yaml"
     if "resume" not in given or not file.is_file():

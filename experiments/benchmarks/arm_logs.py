@@ -174,7 +174,7 @@ def main() -> None:
     for label, model, searched in (
         ("Coulomb and viscous friction", plain.with_values({"controller_gain": 1.0}), PLAIN),
         ("the same, gain and zeros too", plain, (*PLAIN, "controller_gain", "encoder_offset")),
-        ("whole law", whole, (*SHARED, *OWN)),
+        ("full model", whole, (*SHARED, *OWN)),
     ):
         started = time.process_time()
         print(label, flush=True)

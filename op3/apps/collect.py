@@ -107,7 +107,7 @@ def collect(
 
 
 def run(cfg: DictConfig) -> Collected:
-    """Record as often as the config asks."""
+    """Record as often as the config requests."""
     folders = tuple(record_all(cfg))
     logs = [Rollout.load(folder) for folder in folders]
     rows, seconds = sum(log.rows for log in logs), sum(log.duration for log in logs)
@@ -225,12 +225,12 @@ def asked() -> dict[str, str]:
 
 
 def place(name: str) -> Path:
-    """Where something of the run is kept."""
+    """Path of a file or folder in the run's folder."""
     return output_folder() / name
 
 
 def recorded(robot: Any, name: str) -> bool:
-    """Whether a recording exists already; the robot then counts it."""
+    """Whether a recording exists already; if so, the robot skips it."""
     if not place(name).exists():
         return False
     print(f"{place(name)}: recorded before", flush=True)
@@ -261,7 +261,7 @@ def _own(motion: Motion, name: str) -> Any:
 
 @contextmanager
 def exit_code() -> Iterator[None]:
-    """Let what stops a robot end the process with its exit code."""
+    """End the process with the exit code of what stopped the robot."""
     try:
         yield
     except (Stop, Unplugged) as error:

@@ -16,7 +16,7 @@ PRESETS: Mapping[str, Sequence[str]] = {
 
 
 def documentation(app: str) -> str:
-    """The docstring of a command's module in `op3.apps`, which is not imported for it, else of the script that runs."""
+    """The docstring of a command's module in `op3.apps`, read without importing it; else that of the running script."""
     path = Path(__file__).parent / f"{app}.py"
     path = path if path.exists() else Path(sys.argv[0])
     return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""

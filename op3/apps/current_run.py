@@ -1,4 +1,4 @@
-"""This run: its folder, its command, where its numbers come from, how it is logged, and its result."""
+"""The current run: folder, command, provenance of its numbers, logging, and result."""
 
 import os
 import shlex
@@ -32,8 +32,8 @@ def reported(kind: type[Made], values: Mapping[str, Any], objective: str | None 
     """The result of a command from the numbers that its page was published with.
 
     Args:
-        kind: of result.
-        values: as of `op3.report.result.publish`.
+        kind: class of the result.
+        values: the published numbers, see `op3.report.result.publish`.
         objective: key of the number that a sweep optimises.
         more: further fields of the result.
     """
@@ -57,7 +57,7 @@ def command_of_run() -> str:
 
 
 def model_artifact(cfg: DictConfig) -> list[tuple[str, Path]]:
-    """The file of a config's model, as an artifact that the run has read; none where the model is the robot's own."""
+    """The file of a config's model, as an artifact that the run has read; empty if the model is the robot's own."""
     return [("model", find_model(cfg.model))] if cfg.get("model") else []
 
 
@@ -66,7 +66,7 @@ READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
 
 
 def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
-    """This run's folder with its provenance; `made` is the name in it of what the run makes, by kind."""
+    """This run's folder with its provenance; `made` names the files in it that become artifacts, by kind."""
     from op3.report import RunFolder  # brings plotly, which a deployment need not load
 
     folder = output_folder()
@@ -83,7 +83,7 @@ def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
 
 
 def wandb_of(cfg: DictConfig) -> WandbSettings:
-    """How the run is logged: its name is, unless given, what was run and the seed, such as ``balance-s0``."""
+    """The settings of wandb; the default name is the task or command and the seed, such as ``balance-s0``."""
     wandb = WandbSettings.of(plain(cfg.get("wandb", "disabled")))
     choices = HydraConfig.get().runtime.choices
     what = choices.get("task") if "train" in HydraConfig.get().job.name else HydraConfig.get().job.name
@@ -91,7 +91,7 @@ def wandb_of(cfg: DictConfig) -> WandbSettings:
 
 
 def provenance(cfg: DictConfig, data: Any = None) -> dict[str, Any]:
-    """Where this run's numbers come from."""
+    """Provenance of this run's numbers."""
     from op3.report import run_provenance
 
     return {**run_provenance(seed=cfg.seed, data=data), "command": command_of_run()}

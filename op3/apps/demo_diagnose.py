@@ -41,7 +41,7 @@ def where(joints: list[str], shared: bool) -> str:
 
 
 def hidden(answer: Mapping[str, Any]) -> str:
-    """What a sealed answer says was hidden."""
+    """The hidden effect of a sealed answer, in words."""
     texts = []
     for effect in answer["effects"]:
         kind = KINDS[effect["name"]]
@@ -59,7 +59,7 @@ def named(finding: Mapping[str, Any]) -> str:
 
 
 def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) -> str:
-    """The last lines: the name, the truth, the gap, what was made, and what to do next."""
+    """The last lines: named effect, hidden effect, gap, files, and the next command."""
     gaps = []
     for channel, gap in content["gap"].items():
         (before, unit), (after, _) = (in_thousandths(gap[end], gap["unit"]) for end in ("before", "after"))

@@ -121,7 +121,7 @@ def load_runner(cfg: DictConfig) -> PolicyRunner | None:
 
 
 def commands_of(cfg: DictConfig, runner: PolicyRunner | None) -> CommandSource | None:
-    """Where commands come from; only a policy that sees a commanded velocity takes any."""
+    """Source of the velocity commands; only a policy that observes a commanded velocity takes any."""
     if cfg.commands is None:
         return None
     if runner is None or "command" not in runner.bundle.manifest.layout:

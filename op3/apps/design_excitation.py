@@ -74,7 +74,7 @@ def design(
 
 
 def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list[PlannedRecording], dict[str, str]]:
-    """Simulate every motion on every mount, and say which cannot be judged."""
+    """Simulate every motion on every mount, and report those that cannot be evaluated."""
     model, robot = chosen_model(cfg), load_robot(cfg.robot)
     joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
     robot.indices(joints)  # before minutes of motions
@@ -97,7 +97,7 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
 
 
 def main(cfg: DictConfig) -> Designed:
-    """Judge the library, choose, write the plan."""
+    """Evaluate all motions, select some, and write the plan."""
     torch.set_num_threads(1)
     started = time.monotonic()
     folder = output_folder()

@@ -103,7 +103,7 @@ def diagnose(
 
 
 def planned_logs(cfg: DictConfig) -> list[Rollout]:
-    """What the planned excitation would give, by the model."""
+    """Logs of the planned motions, simulated with the model."""
     model = with_chain(chosen_model(cfg))
     if cfg.planned == "leg_suite":
         return planned_suite(model, leg_suite(cfg.seed))
@@ -112,7 +112,7 @@ def planned_logs(cfg: DictConfig) -> list[Rollout]:
 
 
 def attempts(cfg: DictConfig) -> tuple[PolicyBundle, list[Rollout]]:
-    """The policy whose return is predicted, once it is known to fit the task, and its episodes on the robot."""
+    """The policy whose return is predicted, checked against the task, and its episodes on the robot."""
     policy = PolicyBundle.load(cfg.policy)
     instantiate(cfg.task).check_policy(policy.manifest, f"policy={cfg.policy}")
     actual = () if cfg.actual is None else read_logs(plain(cfg.actual))
@@ -120,7 +120,7 @@ def attempts(cfg: DictConfig) -> tuple[PolicyBundle, list[Rollout]]:
 
 
 def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: list[Rollout]) -> dict[str, Any]:
-    """What a policy would return before and after, and what it did where its episodes are given."""
+    """Predicted returns of a policy before and after the diagnosis, and its measured returns if it has episodes."""
     from op3.transfer.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
 
     options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": ProgressLine()}

@@ -21,14 +21,14 @@ from op3.deploy.operator import quietly
 from op3.robot import load_robot
 
 WATCH_EVERY = 0.5
-"""Time between two looks at how far the emulation is behind [s]."""
+"""Interval at which the lag of the emulation is checked [s]."""
 
 LARGEST_LAG = 0.03
-"""Lag that is worth a word [s]: by then the answers of a whole sync read have come too late."""
+"""Lag from which a warning is printed [s]: by then all answers of a sync read are too late."""
 
 
 def robot(cfg: DictConfig) -> EmulatedRobot:
-    """The robot, its bus and what goes wrong."""
+    """The robot, its bus and its faults."""
     chosen = {name: cfg[name] for name in ("world", "world_seed", "model", "seed")}
     make, _ = physics_maker(cfg.robot, **chosen)
     return EmulatedRobot(
@@ -42,7 +42,7 @@ def robot(cfg: DictConfig) -> EmulatedRobot:
 
 
 def ending_signals() -> set[signal.Signals]:
-    """The signals that end the serving; they wait, whenever they come, until `watch` takes them."""
+    """The signals that end the server; they are blocked until `watch` handles them."""
     ends = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # `nohup` asks to outlive the terminal
         ends.remove(signal.SIGHUP)
@@ -51,7 +51,7 @@ def ending_signals() -> set[signal.Signals]:
 
 
 def watch(server: PtyServer, duration: float | None, ends: set[signal.Signals], say: Callable[[str], None]) -> None:
-    """Wait for the end; say once if the machine is too busy to answer in time."""
+    """Wait for the end; warn once if the machine is too busy to answer in time."""
     end, warned = math.inf if duration is None else time.monotonic() + duration, False
     while server.alive and (left := end - time.monotonic()) > 0:
         if signal.sigtimedwait(ends, min(WATCH_EVERY, left)) is not None:

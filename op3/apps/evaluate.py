@@ -93,7 +93,7 @@ def evaluate(
 
 
 class WithProgress(Watched):
-    """A policy that shows how far its episodes are, which have at most this number of steps."""
+    """A policy that shows the progress of its episodes of at most `steps` steps."""
 
     def __init__(self, policy: Any, env: BatchedEnv, steps: int):
         super().__init__(policy, env)
@@ -108,7 +108,8 @@ class WithProgress(Watched):
 def play(
     cfg: DictConfig, task: Task, name: str, field: str = "policy"
 ) -> tuple[list[Rollout], Watched, BatchedEnv, GaitValidity]:
-    """The episodes of the seed, which begin the same for every policy; who acted where; and their validity."""
+    """Logs of the seed's episodes, whose initial states are the same for every policy; policy, environment and
+    validity."""
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
@@ -129,10 +130,10 @@ def passed(logs: Sequence[Rollout], task: Task, prefix: str = "") -> dict[str, A
 
 
 def card_folder(cfg: DictConfig) -> Path | None:
-    """Folder of the bundle that gets a card; None where none is asked for.
+    """Folder of the bundle that gets a card; None if none is requested.
 
     Raises:
-        ValueError: if the policy is not a bundle, or nothing can be written there: known before minutes of episodes.
+        ValueError: if the policy is not a bundle or its folder is not writable, before minutes of episodes.
     """
     if not cfg.card:
         return None
@@ -147,7 +148,7 @@ def card_folder(cfg: DictConfig) -> Path | None:
 
 
 def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
-    """Measure what the card says, write it into the bundle, and print it."""
+    """Measure the content of the card, write it into the bundle, and print it."""
     variations = {name: Variation(**values) for name, values in plain(cfg.variations).items()}
     facts = provenance(cfg)
     made = {name: facts[name] for name in ("command", "git_hash", "git_changes", "date", "seed") if name in facts}
@@ -167,14 +168,14 @@ def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
 
 
 def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
-    """What a walk makes of its commands, as plain values."""
+    """How well a walk tracks its commands, as plain values."""
     values = dataclasses.asdict(obeyed)
     values["speeds"] = [list(row) for row in obeyed.speeds]
     return values | {"errors": list(obeyed.errors)}
 
 
 def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str, Any], list[float]]:
-    """Numbers of the baseline on the same episodes, and its returns."""
+    """Results and returns of the baseline on the same episodes, and the margins over it."""
     logs, *_ = play(cfg, task, cfg.baseline, "baseline")
     others = [evaluation_return(log, task) for log in logs]
     margins = [ours - theirs for ours, theirs in zip(returns, others, strict=True)]
@@ -191,7 +192,7 @@ def beside(cfg: DictConfig, task: Task, returns: list[float]) -> tuple[dict[str,
 
 
 def main(cfg: DictConfig) -> Evaluated:
-    """Play the episodes, and write numbers, page, logs and video; a sweep maximises the mean return."""
+    """Run the episodes, and write numbers, page, logs and video; a sweep maximises the mean return."""
     torch.set_num_threads(1)
     if OmegaConf.is_missing(cfg, "policy"):
         raise ValueError("policy is missing: add policy=<folder of a bundle>, or policy=hold, zero, random or stiff")

@@ -86,7 +86,7 @@ class Common:
 
     @classmethod
     def of(cls, cfg: DictConfig) -> "Common":
-        """Those that a config has and that are given."""
+        """The common fields that the config has and that are set."""
         names = [field.name for field in dataclasses.fields(cls) if field.name in cfg]
         return cls(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
 
@@ -98,13 +98,13 @@ KINDS = {
     int: (int | float, "a number"),
     float: (int | float, "a number"),
 }
-"""By type of a default in the config: types that a setting may have, and their name in error messages."""
+"""Types that a setting may have, and their name in error messages, by the type of its default in the config."""
 
 LOGS = ("data", "heldout", "episodes", "actual", "log", "diagnosis")
 """Fields whose text values are paths of logs."""
 
 BASELINES = ("hold", "zero", "random", "stiff")
-"""Policies that are no bundles."""
+"""Names of policies that are not bundles."""
 
 REQUIRED = {
     "data": "a log, a folder of logs, or a list of them",
@@ -162,7 +162,7 @@ def check(cfg: DictConfig) -> None:
 
 
 def plain(node: Any) -> Any:
-    """A config node as Python's own data."""
+    """A config node as plain Python data."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 

@@ -25,7 +25,7 @@ from op3.rollout.read import expand, read_episodes
 
 
 def look(path: Path, cfg: DictConfig) -> bool:
-    """Print what a log holds and what the checks find; whether it can be used."""
+    """Print the content of a log and the findings of the checks; returns whether the log can be used."""
     print(masked(f"{path}:"))
     proposed = None
     if not read_side(path).found:
@@ -62,7 +62,7 @@ def show(log: Rollout, name: str) -> bool:
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Look at every log that `data` names."""
+    """Check every log that `data` names."""
     data = plain(cfg.data)
     paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
     usable = [look(path, cfg) for path in paths]

@@ -27,12 +27,12 @@ NOTHING_KEPT = "This command cannot resume: start it again."
 
 
 class Job:
-    """Hydra's task function of a command, which imports the command once its config stands.
+    """Hydra's task function of a command, which imports the command after its config has been checked.
 
     Args:
         app: name of the config.
-        module: with a `main` that takes the config, that of this name in `op3.apps` where empty; its `INTERRUPTED` says
-            how to go on after Ctrl-C.
+        module: module with a `main` that takes the config; empty: that of this name in `op3.apps`. Its `INTERRUPTED` is
+            the message after Ctrl-C.
     """
 
     def __init__(self, app: str, module: str = ""):
@@ -56,7 +56,7 @@ class Job:
 
 
 def searched() -> bool:
-    """Whether this process works for a study over a command's settings."""
+    """Whether this process is a worker of a study over a command's settings."""
     hydra: Any = HydraConfig.get()
     target = OmegaConf.select(hydra, "sweeper._target_")
     return hydra.mode == RunMode.MULTIRUN and target == PopulationSweeperConf._target_
@@ -64,7 +64,7 @@ def searched() -> bool:
 
 @contextmanager
 def one_sentence(module: str = "") -> Iterator[None]:
-    """Let wrong input end a command with its one sentence and a non-zero exit, without a stack trace."""
+    """End a command after invalid input with one sentence and a non-zero exit code, without a stack trace."""
     try:
         yield
     except (ValueError, OSError, MemoryError, HydraException, OmegaConfBaseException) as error:

@@ -74,7 +74,7 @@ def reidentify(
         task: task of the policy, a name in ``conf/task``.
         groups: parameter groups to search; None: those of the config.
         diagnosed: whether to diagnose the robot first.
-        start_name: name of the start on the page.
+        start_name: name of the initial model on the page.
         seed: seed of all random numbers.
         folder: folder of the run, where an interrupted run continues; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.

@@ -15,11 +15,11 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
     """A job of the study, or the end of it.
 
     Args:
-        main: of the command; the study optimises its result's `objective`.
-        cfg: of the job.
+        main: function of the command; the study optimises the `objective` of its result.
+        cfg: config of the job.
 
     Returns:
-        What was found, or in a job for a population the results of its trials.
+        The best trial, or in a job for a population the results of its trials.
 
     Raises:
         ValueError: if the command has nothing to optimise, or no run succeeded.

@@ -53,12 +53,12 @@ def explained(error: Exception, config: str) -> str:
 
 
 def no_such(group: str, name: str) -> str:
-    """That a group has no such name, with the nearest one that it has."""
+    """The sentence that a group has no such name, with the nearest valid one."""
     return f"{group}={name}: there is no {name!r} in the group {group}{nearest(name, names_in(group))}"
 
 
 def as_sentence(error: BaseException) -> str:
-    """An error as one sentence: the system's by what it is about, others in their own words."""
+    """An error as one sentence: errors of the system with the file that they concern, others unchanged."""
     if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
         return "not enough memory; use fewer robots, episodes or trials"
     if isinstance(error, OSError) and error.filename is not None:

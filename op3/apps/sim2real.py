@@ -105,7 +105,7 @@ def chosen(group: str) -> str:
 def transfer(
     stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str, began_with: str
 ) -> Transfer:
-    """Play the policy in simulation and on the robot, and judge it."""
+    """Run the policy in simulation and on the robot, and decide whether it succeeded."""
     task = JUDGED[chosen("task")]
     episodes = budget["episodes"]
     expected = stages.run(
@@ -155,7 +155,7 @@ def on_robot(cfg: DictConfig) -> dict[str, Any]:
 
 
 def trained(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | str | None) -> Path:
-    """Train a policy on a model, from an earlier policy's networks where there is one; returns the bundle."""
+    """Train a policy on a model, starting from an earlier policy's networks if there is one; returns the bundle."""
     how = budget["train" if start is None else "retrain"]
     condition = cfg.conditions[cfg.condition]
     randomised = condition.get("randomisation")
@@ -165,10 +165,10 @@ def trained(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: s
 
 
 def check(cfg: DictConfig) -> dict[str, Any]:
-    """The budget, once all that the config says is found to be possible, before anything is done.
+    """The budget, after the whole config has been checked, before any stage runs.
 
     Raises:
-        ValueError: naming the field that is not.
+        ValueError: naming the invalid field.
     """
     if cfg.condition not in cfg.conditions or chosen("task") not in JUDGED:
         raise ValueError(
@@ -202,7 +202,7 @@ def trained_on(cfg: DictConfig) -> str:
     """The model that the given policy was trained on, which gives its expected return.
 
     Raises:
-        ValueError: if it is not to be had.
+        ValueError: if it is not available.
     """
     made = PolicyBundle.load(cfg.policy).manifest
     if made.task not in (chosen("task"), JUDGED[chosen("task")]):
@@ -301,7 +301,7 @@ def reidentified(
     how: list[str],
     learned: Learned,
 ) -> str:
-    """The model that matches the returns of the failed episodes, where these ended as a simulation can end them."""
+    """The model that matches the returns of those failed episodes that ended in a way that a simulation reproduces."""
     counting, others = that_count(read_logs(failed.episodes))
     if not counting:
         learned.remarks.append(
@@ -318,13 +318,13 @@ def reidentified(
 
 
 def what_is_done(cfg: DictConfig) -> str:
-    """Task and robot, for readers of the page alone."""
+    """Task and robot in words, for the page."""
     robot = f"The robot is emulated; its parameters, `{cfg.world}`, are hidden from identification and training."
     return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 
 
 def squat_fit(folder: Path) -> dict[str, Prediction]:
-    """What the identified models, with DTE and without where both were asked for, say of the squat."""
+    """Errors of the identified models on the squat, with DTE and without it if both were requested."""
     models = {"identified": folder / "identify" / "model.yaml"}
     without = folder / "identify" / "model_without_dte.yaml"
     if without.is_file():
@@ -344,7 +344,7 @@ def learning(folder: Path, stages: Stages) -> dict[str, tuple[list[float], list[
 
 
 def following(folder: Path, last: Transfer) -> list[str]:
-    """What to do next."""
+    """Commands to run next."""
     episode = next(iter(sorted(path for path in last.episodes.iterdir() if path.is_dir() and path.name[0] != ".")), "")
     return [
         f"op3 view {episode}  # an episode on the robot",
@@ -356,7 +356,7 @@ def following(folder: Path, last: Transfer) -> list[str]:
 def report(
     cfg: DictConfig, budget: str, folder: Path, stages: Stages, transfers: list[Transfer], learned: Learned
 ) -> dict[str, Any]:
-    """Write the story of the run and its numbers."""
+    """Write the page of the run and its numbers."""
     world = cfg.world if chosen("source") == "emulated" else "real"
     return report_transfers(
         transfers,

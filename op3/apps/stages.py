@@ -45,7 +45,7 @@ class StageOutput(io.TextIOBase):
 
     Args:
         name: of the stage.
-        file: that takes it.
+        file: receives the output.
     """
 
     def __init__(self, name: str, file: TextIO):
@@ -68,14 +68,14 @@ class StageOutput(io.TextIOBase):
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Keep other processes out as long as this one works, those of other machines on the same disk too."""
+    """Lock out other processes while this one works, also those of other machines on the same disk."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def _is_work(path: Path) -> bool:
-    """Whether a file or folder of a stage is more than what every start leaves."""
+    """Whether a file or folder of a stage is output, not one of those that every start writes."""
     return path.name not in (ASKED, ".hydra") and path.suffix != ".log"
 
 
@@ -84,8 +84,8 @@ class Stages:
 
     Args:
         folder: of the whole run; each stage gets a folder in it.
-        shared: folder in which stages are kept by their arguments, so that runs have them in common: whichever comes
-            first does the work, and the folder of each run links to it. None: every run does all of its own.
+        shared: folder of stages by their arguments, which runs share: the first run that needs a stage executes it, and
+            the folder of each run links to it. None: every run executes all of its stages.
     """
 
     def __init__(self, folder: Path, shared: Path | None = None):
@@ -99,7 +99,7 @@ class Stages:
     def run(self, name: str, command: Callable[..., CommandResult], **arguments: Any) -> Path:
         """Call one command, unless that has been done before; returns its folder.
 
-        An interrupted training continues from its checkpoint; other commands continue by themselves.
+        An interrupted training continues from its checkpoint; other commands resume automatically.
 
         Args:
             name: of the stage.
@@ -151,7 +151,7 @@ class Stages:
         return place
 
     def _real(self, value: Any) -> Any:
-        """An argument in which a path into this run is that of what is shared."""
+        """An argument, with a path into this run's folder replaced by the shared path."""
         inside = self.shared is not None and isinstance(value, str | Path) and str(value).startswith(str(self.folder))
         return Path(value).resolve() if inside else value
 
@@ -171,7 +171,7 @@ class Stages:
 
         Args:
             name: of the stage; its plan lies beside it.
-            motions: names; one may be played several times.
+            motions: names of motions, which may repeat.
             robot: arguments of `collect` for it.
         """
         content = {"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}

@@ -63,7 +63,7 @@ def seeded_faults(node: DictConfig) -> Any:
 
 
 def built(node: DictConfig, **options: Any) -> Any:
-    """What a config node describes; a refusal is passed on in its own words."""
+    """The object that a config node describes; its ValueError is passed on unchanged."""
     try:
         return instantiate(node, **options)
     except InstantiationException as error:
@@ -71,7 +71,7 @@ def built(node: DictConfig, **options: Any) -> Any:
 
 
 def library_motion(name: str, robot: str = DEFAULT) -> "Motion":
-    """A motion by its name in `conf/motion` or `conf/variants.yaml`, for this robot if it is one for any.
+    """A motion by its name in `conf/motion` or `conf/variants.yaml`, for this robot if the motion suits any robot.
 
     Raises:
         ValueError: if there is none of this name.
@@ -83,12 +83,12 @@ def library_motion(name: str, robot: str = DEFAULT) -> "Motion":
 
 
 def logs_where(logs: "Sequence[Rollout]", where: Mapping[str, Any] | None, field: str) -> "list[Rollout]":
-    """The logs with these metadata; all where nothing is asked.
+    """The logs with these metadata; all logs if `where` is empty.
 
     Args:
         logs: to choose from.
         where: values by field of the metadata.
-        field: of the config that asks, for messages.
+        field: config field of `where`, for messages.
     """
     from op3.rollout import Metadata
 
@@ -103,7 +103,7 @@ def logs_where(logs: "Sequence[Rollout]", where: Mapping[str, Any] | None, field
 
 
 def focus_joints(joints: Sequence[str] | None, logs: "Sequence[Rollout]") -> tuple[str, ...]:
-    """Joints whose traces count: those given, else the controlled ones of the robot where the logs have them."""
+    """Joints whose traces count: the given ones, else those controlled joints of the robot that the logs have."""
     if joints is not None:
         return tuple(joints)
     controlled = logs[0].robot.controlled

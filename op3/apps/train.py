@@ -105,12 +105,12 @@ def train(
 
 
 def earlier(cfg: DictConfig) -> PolicyBundle | None:
-    """The policy to start with, where there is one."""
+    """The policy to start with, or None."""
     return None if cfg.warm_start is None else PolicyBundle.load(cfg.warm_start)
 
 
 def chosen_task(cfg: DictConfig) -> Task:
-    """The task, of the robot and with the gain that are asked for."""
+    """The task with the requested robot and gain."""
     if cfg.robot is not None:
         cfg.task.robot = cfg.robot
     task = instantiate(cfg.task)
@@ -137,7 +137,7 @@ def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEn
 
 
 def robots(cfg: DictConfig, task: Task) -> EnvBase:
-    """Those that learn."""
+    """The robots of the training."""
     options = {**plain(cfg.environment), "action_map": actions(cfg, task), "backend": cfg.env}
     if cfg.env == "composer" and cfg.environments != 1:
         raise ValueError(f"env=composer simulates one robot: set environments=1, got {cfg.environments}")
@@ -199,7 +199,8 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
 
 
 def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
-    """The robot's plane of symmetry; none where samples are not mirrored, or something has no image."""
+    """Mirror images in the robot's plane of symmetry; None if samples are not mirrored or a part has no mirror
+    image."""
     if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
         return None
     try:
@@ -235,7 +236,7 @@ def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
 
 
 def main(cfg: DictConfig) -> Trained:
-    """Train, judge the kept policy, and write page, numbers and video; a sweep maximises the return."""
+    """Train, evaluate the best policy, and write page, numbers and video; a sweep maximises the return."""
     torch.set_num_threads(1)
     choices = {name: str(value) for name, value in HydraConfig.get().runtime.choices.items()}
     if cfg.resume is not None:

@@ -41,7 +41,7 @@ from op3.tasks.task import POLICY_PERIOD, find_task
 
 
 def of_log(cfg: DictConfig) -> Tracks:
-    """A log, and what a model predicts of it unless its commands depend on what the robot sensed."""
+    """A log, and a model's prediction of it, unless its commands depend on sensor readings."""
     logs = [one for log in read_logs(cfg.what, cfg.robot) for one in log.episodes()]
     if not cfg.number < len(logs):
         raise ValueError(f"number={cfg.number}: {cfg.what} has {len(logs)} logs, numbered from 0")
@@ -59,7 +59,7 @@ def of_log(cfg: DictConfig) -> Tracks:
 
 
 def show_card(cfg: DictConfig, path: Path) -> None:
-    """What a policy was found to do, or how that is found."""
+    """Print the card of a policy, or the command that writes one."""
     card = find_card(path)
     print(card.to_yaml() if card else f"{cfg.what} has no card; op3 evaluate policy={cfg.what} card=true writes one")
 
@@ -94,7 +94,7 @@ def of_model(cfg: DictConfig) -> Tracks:
 
 
 def of_robot(cfg: DictConfig) -> Tracks:
-    """A motion of a robot on the stand: its commands, and what a model of its servos makes of them as an overlay."""
+    """A motion of a robot on the stand: its commands, and the simulation of a model of its servos as an overlay."""
     robot = load_robot(cfg.what)
     log = simulate_motion(model_for(robot, cfg.model), multisine(duration=6.0, robot=robot.reference), mount="stand")
     told = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
@@ -102,7 +102,7 @@ def of_robot(cfg: DictConfig) -> Tracks:
 
 
 def tracks_of(cfg: DictConfig) -> Tracks:
-    """What is to be shown, by what it is."""
+    """The tracks to show, by the type of the given path."""
     path = here_or_shipped(cfg.what)
     for policy in (path, path / "policy"):
         if (policy / MANIFEST).is_file():
@@ -116,7 +116,7 @@ def tracks_of(cfg: DictConfig) -> Tracks:
 
 
 def watch(cfg: DictConfig, out: Path) -> None:
-    """Show a log while it is recorded: in a window, or a line per second and a video in the end."""
+    """Show a log while it is recorded: in a window, or as a line per second and a video at the end."""
     if Path(cfg.what).is_file():
         raise ValueError(f"what={cfg.what}: live=true follows the folder of a log, or of a run of op3 deploy")
     coming = stretches(Path(cfg.what), cfg.model)

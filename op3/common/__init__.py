@@ -1,1 +1,2 @@
-"""What every room may use: checked settings, names of shipped files, secrets kept out of texts, intervals."""
+"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets from texts,
+intervals."""

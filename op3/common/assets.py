@@ -1,4 +1,4 @@
-"""Where the data files of the package are, in a checkout and in an installed wheel; names of robots and models.
+"""Paths of the package's data files, in a checkout and in an installed wheel; names of robots and models.
 
 Imports nothing heavy: wrong names on a command line are refused here before anything else is imported.
 """
@@ -31,7 +31,7 @@ def asset_path(name: str) -> Path:
 
 
 def here_or_shipped(path: str | Path) -> Path:
-    """The path, or that of the package where it begins with ``assets/`` and is not below the working folder."""
+    """The path, or that in the package if it begins with ``assets/`` and does not exist below the working folder."""
     if not isinstance(path, str | Path):
         raise ValueError(f"a path must be text, got {path!r}")
     path = Path(path)

@@ -1,4 +1,4 @@
-"""What a machine has that op3 needs, and what to do about what is missing."""
+"""Checks of what op3 needs on a machine, with remedies."""
 
 import importlib.metadata
 import os
@@ -18,7 +18,7 @@ LATENCY = 1
 """Milliseconds that a USB adapter may hold back bytes: more makes a tick of 8 ms take 15 to 20."""
 
 ADAPTERS = Path("/sys/bus/usb-serial/devices")
-"""Where the kernel shows serial adapters."""
+"""Folder in which the kernel lists serial adapters."""
 
 Line = tuple[str, str, str]
 """State, topic, and finding with its fix."""
@@ -59,7 +59,7 @@ def packages() -> Iterator[Line]:
 
 
 def rendering() -> Iterator[Line]:
-    """Whether MuJoCo draws here, tried in a process of its own because a wrong driver may end it."""
+    """Whether MuJoCo can render here, tried in a separate process because a wrong driver may end it."""
     code = "import mujoco; m = mujoco.MjModel.from_xml_string('<mujoco/>'); mujoco.Renderer(m, 32, 32)"
     for backend in (os.environ.get("MUJOCO_GL", ""), "egl", "osmesa"):
         environment = {**os.environ, **({"MUJOCO_GL": backend} if backend else {})}
@@ -72,7 +72,7 @@ def rendering() -> Iterator[Line]:
 
 
 def disk() -> Iterator[Line]:
-    """Room for results, where they land."""
+    """Free disk space for results."""
     free = shutil.disk_usage(Path.cwd()).free / 2**30
     yield (
         GOOD if free > 2 else POOR,

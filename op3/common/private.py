@@ -1,4 +1,4 @@
-"""What must not leave the machine: passwords in addresses, tokens, and the paths of the user's folders.
+"""Removes private data from texts: passwords in addresses, tokens, and the paths of the user's folders.
 
 Everything that a run writes for others to read (pages, results, provenance, settings) passes through `scrub`.
 """
@@ -54,7 +54,7 @@ def masked(text: str) -> str:
 
 
 def _short(path: str) -> str:
-    """A path without where it is on this machine; texts that only look like one are left alone."""
+    """A path without its location on this machine; texts that only resemble a path are unchanged."""
     first = Path(path).parts[1]
     if not (Path("/") / first).is_dir():
         return path

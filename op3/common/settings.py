@@ -1,4 +1,4 @@
-"""Settings and their files, checked by pydantic, with every fault told in one sentence.
+"""Settings and their files, checked by pydantic; every error is one sentence.
 
 A group of settings is a frozen dataclass whose fields have the types below:
 
@@ -10,7 +10,7 @@ A group of settings is a frozen dataclass whose fields have the types below:
 
     Limits(voltage=-1)  # ValueError: limits: voltage must be above 0, got -1
 
-What fields have to do with each other is checked in ``__post_init__`` as in any dataclass.
+Relations between fields are checked in ``__post_init__``, as in any dataclass.
 """
 
 import difflib
@@ -29,7 +29,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 
 def _plain(value: Any) -> Any:
-    """Numpy's scalars as Python's; lists of any make, Hydra's too, as tuples."""
+    """Numpy's scalars as Python's; lists of any type, also Hydra's, as tuples."""
     if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
         return value.item()
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
@@ -114,11 +114,11 @@ _WANTED = {
 def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Group]], type[_Group]]:
     """Make a class a frozen dataclass whose fields are checked.
 
-    Types are strict: true is not a number and "3" is no 3, but a whole number may stand where a number belongs.
+    Types are strict: true is not a number and "3" is not 3, but a whole number is accepted as a number.
 
     Args:
-        what: the settings are of, said before the field; nothing where the field speaks for itself.
-        raises: makes the error of one field; a ValueError where None.
+        what: subject of the settings, which precedes the field in messages; empty if the field is clear without it.
+        raises: makes the error of one field; None: a ValueError.
     """
     before = f"{what}: " if what else ""
 
@@ -148,8 +148,8 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
 
 
 class Fault(NamedTuple):
-    """Where something is wrong, what it is, what it must be (nothing where that is not the matter), and all of that in
-    words that follow the field's name, or the error of a check of ours."""
+    """Place of an error, the given value, the requirement (empty if the value is not the problem), and a text that
+    follows the field's name, or the error of a check of ours."""
 
     place: tuple[str | int, ...]
     given: Any
@@ -158,7 +158,7 @@ class Fault(NamedTuple):
 
 
 def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
-    """The first that pydantic found in a dataclass or a record of this kind."""
+    """The first error that pydantic found in a dataclass or a record of this kind."""
     detail: Any = max(error.errors(), key=lambda found: found["type"] == "extra_forbidden")  # explains what is missing
     place, given, name, context = tuple(detail["loc"]), detail["input"], detail["type"], detail.get("ctx", {})
     place = tuple("/".join(step) if isinstance(step, tuple) else step for step in place)  # a key of several parts
@@ -170,7 +170,7 @@ def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
         return Fault(place, given, "", f"is not a field{nearest(place[-1], _fields(kind, place))}")
     if name in ("missing", "missing_argument"):
         return Fault(place, given, "", "is missing: give it")
-    wanted = _WANTED[name].format(**context) if name in _WANTED else f"as it is described ({detail['msg']})"
+    wanted = _WANTED[name].format(**context) if name in _WANTED else f"valid ({detail['msg']})"
     return Fault(place, given, wanted, f"must be {wanted}, got {shown(given)}")
 
 
@@ -189,20 +189,21 @@ def _parts(annotation: Any) -> list[Any]:
 
 
 def shown(value: Any) -> str:
-    """A value as a message quotes it, cut where it is long."""
+    """A value as messages quote it, truncated if long."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def nearest(name: object, known: Iterable[str]) -> str:
-    """How to go on after an unknown name: the nearest one that exists, else all of them."""
+    """Hint after an unknown name: the nearest valid one, else all of them."""
     known = list(known)
     close = difflib.get_close_matches(str(name), known, n=1)
     return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known) or 'none'}"
 
 
 def imported(name: str, where: str) -> Any:
-    """A function or class by its dotted path; a ValueError that names field and nearest where there is none."""
+    """A function or class by its dotted path; raises a ValueError with the field and the nearest name if there is
+    none."""
     module, _, attribute = name.rpartition(".")
     try:
         home = importlib.import_module(module)
@@ -244,7 +245,7 @@ _MOST_ALIASES = 20
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as people write it: 1e-3 is a number, `on` a name, and a key that stands twice is refused.
+    """YAML 1.2: 1e-3 is a number, `on` a name, and duplicate keys are refused.
 
     PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; of two equal keys the last wins.
     """
@@ -271,7 +272,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Twice(Exception):
-    """A key, and the two lines at which it stands."""
+    """A duplicate key, and its two lines."""
 
 
 for _name, (_pattern, _first_letters) in _SCALARS.items():

@@ -18,7 +18,7 @@ class WandbSettings:
         project: that the run belongs to.
         entity: team or user; None: that of the login.
         tags: of the run.
-        name: of the run; None: what was run and its seed.
+        name: of the run; None: the task or command and the seed.
     """
 
     mode: Mode = "offline"
@@ -29,7 +29,7 @@ class WandbSettings:
 
     @classmethod
     def of(cls, given: Any) -> "WandbSettings":
-        """From a config's field, a mapping or, of older runs, the mode alone; WANDB_MODE takes precedence.
+        """From a config's field: a mapping or, in older runs, only the mode; WANDB_MODE takes precedence.
 
         Raises:
             ValueError: naming the field that cannot be.

@@ -1,1 +1,1 @@
-"""How soft a robot is under a policy: measured on its joints, its landings, pushes and pulls, and never inferred."""
+"""Compliance of a robot under a policy, measured on its joints, landings, pushes and pulls."""

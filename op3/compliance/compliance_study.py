@@ -1,4 +1,4 @@
-"""All measurements of one policy, on the same episodes as everyone else's."""
+"""All measurements of one policy, on the same episodes for every policy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ FAMILY = tuple((step, height) for step in (0.03, 0.045, 0.06) for height in (0.0
 """Steps and foot heights [m] of the stiff walks that landings are compared with."""
 
 MINUTE = 60.0
-"""How long robots stand [s]; the losses of its halves show whether it may be extrapolated to an hour."""
+"""Duration of standing [s]; the losses of its halves show whether it may be extrapolated to an hour."""
 
 STANDING = 4
 """Robots that stand."""
@@ -44,7 +44,7 @@ STANDING = 4
 
 @settings("sizes")
 class Sizes:
-    """How much is measured.
+    """Number of episodes and states that are measured.
 
     Attributes:
         episodes: of walking on each ground.
@@ -65,7 +65,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What was found about one policy.
+    """Results of one policy.
 
     Attributes:
         passed: by ground.

@@ -26,9 +26,9 @@ AMBIENT = 25.0
 """[C]."""
 
 WARMING = 240.0
-"""Time constant with which a servo warms up [s]; the size of the case and its 82 g say minutes, no data sheet gives it.
+"""Time constant with which a servo warms up [s], estimated from its size and its 82 g; no data sheet states it.
 
-The temperature after an hour, fifteen of these, does not depend on it.
+After an hour, fifteen time constants, the temperature does not depend on it.
 """
 
 
@@ -97,7 +97,7 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, robot: Robot, mas
 
 
 def robot_mass(env: BatchedEnv) -> float:
-    """Of each robot [kg]."""
+    """Mass of each robot [kg]."""
     return float(env.simulation.batch.get_model(0).body_subtreemass[0])
 
 

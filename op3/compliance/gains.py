@@ -1,4 +1,5 @@
-"""Gain and stiffness of the leg joints over the gait: by the clock that the policy sees, and by what the feet touch."""
+"""Gain and stiffness of the leg joints over the gait: by the phase that the policy observes, and by contact of the
+feet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ TICK = round(1000 * CONTROL_PERIOD)
 """Milliseconds of a tick."""
 
 SITUATIONS = ("support", "swing", "landed", "support_clock", "swing_clock")
-"""What a leg does: by contact of its foot, in the 100 ms after its touchdown, and by the clock of the gait."""
+"""Situations of a leg: by contact of its foot, in the 100 ms after its touchdown, and by the phase of the gait."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ class Gains:
 
 
 def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: RobotModel) -> Gains:
-    """The gains of episodes of walking, with what the feet touched in each.
+    """The gains of episodes of walking, with the contacts of the feet in each.
 
     Args:
         logs: one per robot, with `command/p_gain`.

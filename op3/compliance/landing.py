@@ -18,7 +18,7 @@ ALIKE = np.array([0.03, 0.004])
 """Differences of speed [m/s] and step height [m] up to which two landings are matched."""
 
 RESAMPLES = 300
-"""Of the bootstrap."""
+"""Number of draws of the bootstrap."""
 
 FEWEST = 20
 """Fewest pairs of matched landings that are compared."""
@@ -90,9 +90,9 @@ class Comparison:
 
 
 def compare_landings(ours: Landings, theirs: Landings) -> Comparison:
-    """Each of our landings beside the one of theirs that is nearest in speed and step height, where one is alike.
+    """Match each of our landings with the one of theirs that is nearest in speed and step height, if one is similar.
 
-    Intervals are bootstrapped over the episodes of both, always alike.
+    Intervals are bootstrapped over the episodes of both, with a fixed seed.
     """
     everything = [np.unique(walk.episode) for walk in (ours, theirs)]
     first = _paired(ours, theirs, *everything)

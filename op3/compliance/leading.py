@@ -1,4 +1,4 @@
-"""Whether a walking robot can be led: pulled slowly by its trunk or by a foot, beside a twin that is left alone."""
+"""Whether a walking robot can be led: pulled slowly by its trunk or by a foot, compared with a twin without a pull."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -70,7 +70,7 @@ def lead(
     """Pull walking robots in every way of `PULLS`, with a force that grows evenly.
 
     Args:
-        episodes: for each pull; all pulls and the twins begin alike.
+        episodes: for each pull; all pulls and the twins have the same initial states.
         **options: further arguments of `op3.envs.make_env`.
     """
     count = len(PULLS) * episodes
@@ -97,7 +97,7 @@ def lead(
 
 
 class _Places:
-    """Where trunks and left feet are."""
+    """Positions of trunks and left feet."""
 
     def __init__(self, env: Any):
         batch, robot = env.simulation.batch, env.scene.robot
@@ -114,7 +114,8 @@ class _Places:
 
 
 def _against_twins(seen: Array, upright: NDArray[np.bool_], way: Array, episodes: int, cycle: float) -> dict[str, Led]:
-    """Displacements of robots ``[step, sim, 2, 3]`` from those left alone, who are the last, averaged over cycles."""
+    """Displacements of robots ``[step, sim, 2, 3]`` from the twins without a pull, which are the last, averaged over
+    cycles."""
     count, period = len(way), TICKS * CONTROL_PERIOD
     twins = np.tile(seen[:, count:], (1, len(PULLS), 1, 1))
     moved = np.einsum("tsci,si->tsc", seen[:, :count] - twins, way)

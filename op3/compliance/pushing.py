@@ -70,7 +70,7 @@ def survive_pushes(
     rows: int = ROWS,
     **options: Any,
 ) -> Survival:
-    """Push robots that act, each once, and see who stays upright.
+    """Push walking robots, each once, and record which stay upright.
 
     Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same; and no
     push depends on how many robots stand side by side.

@@ -1,4 +1,4 @@
-"""How many robots that differ in one thing a policy keeps upright, and the card that says so."""
+"""How many robots with one variation a policy keeps upright, and the card with the results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PUSH_RUNGS, LARGEST_PUSH = 10, 3.0
 
 @settings("variation")
 class Variation:
-    """One thing that is different from the robot, or the task, that a policy was trained on.
+    """One variation of the robot, or the task, that a policy was trained on.
 
     Attributes:
         text: what, in words.
@@ -127,7 +127,7 @@ class Passed:
 
 
 def verdict(nominal: Passed, task: Task) -> Literal["WALKS", "STANDS", "FALLS"]:
-    """What a policy does, by `ENOUGH` robots that are as it was trained."""
+    """Verdict on a policy: the behaviour of a share `ENOUGH` of the robots without a variation."""
     if task.cycle is not None and nominal.successes >= ENOUGH * nominal.episodes:
         return "WALKS"
     return "STANDS" if nominal.upright >= ENOUGH * nominal.episodes else "FALLS"
@@ -146,7 +146,7 @@ def make_card(
     report: Callable[[str], None] = print,
     **options: Any,
 ) -> Card:
-    """Measure what a card says.
+    """Measure the content of a card.
 
     Args:
         model_name: of the model, for the card.

@@ -1,4 +1,4 @@
-"""Where the velocity that a walking policy is commanded comes from: a file, a function, the keyboard, a gamepad."""
+"""Sources of the velocity command of a walking policy: a file, a function, the keyboard, a gamepad."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LOW, HIGH = (np.array([bounds[side] for bounds in RANGES.values()]) for side in 
 
 
 class CommandSource:
-    """Says what velocity is asked for."""
+    """A source of velocity commands."""
 
     def at(self, time: float) -> Array | None:
         """Forwards and to the left [m/s], and rate of turning [rad/s], ``[3]``; None once the source is lost.
@@ -38,7 +38,7 @@ class CommandSource:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Give back what was opened, if anything was."""
+        """Release what was opened, if anything was."""
 
 
 def command_source(name: str) -> CommandSource:
@@ -111,7 +111,7 @@ class Function(CommandSource):
             raise ValueError(f"commands=python:{path} cannot be imported ({error}); correct the path") from None
 
     def at(self, time: float) -> Array | None:
-        """What the function says; a fault of its own counts as a lost source."""
+        """The function's command; an exception in it counts as a lost source."""
         try:
             value = self._function(time)
             asked = None if value is None else np.asarray(value, dtype=float)
@@ -136,7 +136,7 @@ class Keyboard(CommandSource):
         "q": (0.0, 0.05, 0.0),
         "e": (0.0, -0.05, 0.0),
     }
-    """What each key adds [m/s, m/s, rad/s]."""
+    """Increment of each key [m/s, m/s, rad/s]."""
 
     def __init__(self, stream: int | None = None):
         self._stream = sys.stdin.fileno() if stream is None else stream
@@ -151,7 +151,7 @@ class Keyboard(CommandSource):
             raise ValueError("commands=keyboard: there is no terminal; give a file or a gamepad")
 
     def at(self, time: float) -> Array | None:
-        """What the keys so far add up to."""
+        """The sum of the keys so far."""
         del time
         while not self._lost and select.select([self._stream], [], [], 0.0)[0]:
             keys = os.read(self._stream, 64).decode(errors="ignore")
@@ -164,7 +164,7 @@ class Keyboard(CommandSource):
         return None if self._lost else self._asked.copy()
 
     def close(self) -> None:
-        """Give the terminal back."""
+        """Release the terminal."""
         if self._before is not None:
             import termios
 
@@ -194,7 +194,7 @@ class Gamepad(CommandSource):
         self._sticks, self._lost = np.zeros(3), False
 
     def at(self, time: float) -> Array | None:
-        """Where the sticks are."""
+        """The command of the sticks."""
         del time
         while not self._lost:
             try:

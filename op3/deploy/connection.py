@@ -38,7 +38,7 @@ HANG_SCALE = 0.5
 """Share of the peak currents that a suspended robot gets."""
 
 SETTLE_TIME = 1.5
-"""How long the start pose is held before a motion or a policy begins [s]."""
+"""Time for which the start pose is held before a motion or a policy begins [s]."""
 
 POLICY_RATE = 1 / (PERIOD * POLICY_TICKS)
 """Policy steps per second [Hz]."""
@@ -144,7 +144,7 @@ def run(
     report: Report | None = None,
     **metadata: Any,
 ) -> SessionOutcome:
-    """Check, energise, ramp, move to the start pose, wait for go, run, sit down, switch off.
+    """Check, energise, ramp, move to the start pose, wait for the operator, run, sit down, switch off.
 
     Args:
         start: start pose [joint] in rad; by default home.

@@ -1,11 +1,11 @@
 """The robot's bus, keyed by joint name, over the unmodified dynamixel-sdk.
 
-Reading needs nothing but a `Bus`. Writing needs the one `Writer` that a bus gives out, so that a single object
-decides what reaches the servos.
+Reading needs only a `Bus`. Writing needs the one `Writer` that a bus gives out, so that a single object decides what
+reaches the servos.
 
-What the SDK hides is done here. Status packets are parsed one by one, so that the ALERT bit and the loss of a single
-servo are seen; a wait ends a few milliseconds after the last byte and not after 34; a lock left behind by an
-interrupted call is cleared; a port that went away is one error, `Unplugged`.
+This module adds what the SDK lacks. Status packets are parsed one by one, so that the ALERT bit and the loss of a
+single servo are detected; a wait ends a few milliseconds after the last byte instead of after 34; a lock left by an
+interrupted call is cleared; a disconnected port is one error, `Unplugged`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BOARD = "opencr"
 """Name of the board with IMU and power switch."""
 
 FIRST_ANSWER = 4.0
-"""How long the first byte of an answer may take [ms]; the USB adapter alone delays by up to 1 ms."""
+"""Longest wait for the first byte of an answer [ms]; the USB adapter alone delays by up to 1 ms."""
 
 GAP = 2.0
 """Longest pause between bytes of consecutive answers [ms]."""
@@ -53,7 +53,7 @@ class BusError(RuntimeError):
 
 
 class NoAnswer(BusError):
-    """A device did not answer, or not legibly."""
+    """A device did not answer, or its answer was corrupt."""
 
 
 class Refused(BusError):
@@ -61,7 +61,7 @@ class Refused(BusError):
 
 
 class Unplugged(BusError):
-    """The serial port went away."""
+    """The serial port disappeared."""
 
 
 class Bus:
@@ -103,7 +103,7 @@ class Bus:
             self.open()
 
     def open(self) -> None:
-        """Open the port, again if need be; raises `Unplugged`."""
+        """Open or reopen the port; raises `Unplugged`."""
         try:
             with self._plugged():
                 opened = self.port.setBaudRate(BAUD_RATE)
@@ -123,7 +123,7 @@ class Bus:
 
     @contextmanager
     def patience(self, first_answer: float, gap: float) -> Iterator[None]:
-        """Wait otherwise than usual for the first byte of an answer, and inside a row of answers [ms]."""
+        """Set the timeouts for the first byte of an answer, and between answers [ms]."""
         usual, sdk = (self._first_answer, self._gap), dynamixel_sdk.port_handler
         timer, self._first_answer, self._gap = sdk.LATENCY_TIMER, first_answer, gap
         sdk.LATENCY_TIMER = max(timer, first_answer / 2 - 1)  # it waits for two of them and 2 ms
@@ -133,7 +133,7 @@ class Bus:
             (self._first_answer, self._gap), sdk.LATENCY_TIMER = usual, timer
 
     def clear(self) -> None:
-        """Free a port that an interrupted call left locked; without this the SDK sends nothing any more."""
+        """Free a port that an interrupted call left locked; otherwise the SDK sends nothing more."""
         self.port.is_using = False
 
     def writer(self) -> Writer:
@@ -156,26 +156,26 @@ class Bus:
         return found
 
     def answers_protocol_1(self, name: str) -> bool:
-        """Whether a device that no packet of ours reaches answers a ping of protocol 1.0."""
+        """Whether a device that does not answer protocol 2.0 answers a ping of protocol 1.0."""
         instruction = [0, 0, self.ids[name], 2, dynamixel_sdk.INST_PING, 0]
         with self._plugged():
             _, result, _ = dynamixel_sdk.PacketHandler(1.0).txRxPacket(self.port, instruction)
         return result == dynamixel_sdk.COMM_SUCCESS
 
     def read(self, name: str, register: str, *, attempts: int = ATTEMPTS) -> int:
-        """One register of one device, sign included, silence tried again; raises `NoAnswer` or `Refused`."""
+        """One register of one device, with sign; retries without an answer; raises `NoAnswer` or `Refused`."""
         entry = self._register(name, register)
         place = (self.ids[name], entry.address, entry.size)
         return entry.decode(self._try(name, f"a read of {register}", lambda: self._read_once(*place), attempts))
 
     def sync_read(self, register: str) -> dict[str, int]:
-        """One register of all servos, sign included; those that do not answer are left out."""
+        """One register of all servos, with sign; those that do not answer are left out."""
         entry = DYNAMIXEL_X[register]
         data, _ = self._read_many(entry.address, entry.size, fast=False)
         return {self.names[number]: entry.decode(value) for number, value in data.items()}
 
     def read_state(self) -> RobotState:
-        """Everything that one tick needs. What does not answer keeps its last values; see `RobotState.answered`."""
+        """The readings of one tick. Devices that do not answer keep their last values; see `RobotState.answered`."""
         # In a fast answer a lost part hides those behind it, so one servo in twenty could miss several ticks in a row.
         # After a loss everyone answers in a packet of its own: slower, and each loss stands alone.
         fast = self.block.fast and not self._missed
@@ -196,7 +196,7 @@ class Bus:
         return RobotState.of(registers, self.units, self.calibration.offset, board, **seen)
 
     def _errors_of(self, alert: np.ndarray) -> np.ndarray:
-        """Hardware errors [joint] where the block does not hold them: asked of those that raise the alert."""
+        """Hardware errors [joint] if the block does not contain them: read from servos that raise the alert."""
         errors = np.zeros(len(self.joints), dtype=np.int64)
         for index in np.flatnonzero(alert):
             with suppress(BusError):
@@ -204,7 +204,7 @@ class Bus:
         return errors
 
     def _read_once(self, number: int, address: int, length: int) -> tuple[bytes, int, int]:
-        """Data, result and error of a read. The SDK's own would take any answer of the device for this one's."""
+        """Data, result and error of a read. The SDK's function would accept any answer of the device."""
         with self._plugged():
             sent = self._sdk.readTx(self.port, number, address, length)
         if sent != dynamixel_sdk.COMM_SUCCESS:
@@ -216,7 +216,7 @@ class Bus:
         return data, dynamixel_sdk.COMM_SUCCESS, error
 
     def _read_board(self) -> bool:
-        """Refresh the IMU block; whether it came. OpenCR knows no fast sync read."""
+        """Refresh the IMU block; returns whether it was received. OpenCR does not support fast sync reads."""
         data, result, error = self._read_once(OPEN_CR_ID, BOARD_ADDRESS, BOARD_LENGTH)
         if result != dynamixel_sdk.COMM_SUCCESS or error & ~ALERT:
             return False
@@ -242,7 +242,7 @@ class Bus:
     def _receive(self, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
         """Error and data of each of these devices, until all have answered or the bytes stop coming.
 
-        Answers of others and of another length, such as one that was late for an earlier instruction, are passed over.
+        Other answers, such as a late one to an earlier instruction, are ignored.
         """
         parser, answers = Parser(), {}
         for chunk in self._chunks(len(ids) * (11 + length)):
@@ -265,9 +265,8 @@ class Bus:
         return data
 
     def _chunks(self, expected: int) -> Iterator[bytes]:
-        """Bytes as they come, until they stop; stuffing may make it more than expected.
-
-        A line that is disturbed may never fall silent, so there is an end to waiting as well.
+        """Received bytes until the line is silent; stuffing may add bytes. A disturbed line may never be silent, so the
+        wait is limited.
         """
         got = 0
         try:
@@ -286,7 +285,7 @@ class Bus:
             self.port.is_using = False
 
     def _try(self, name: str, what: str, call: Any, attempts: int = ATTEMPTS) -> Any:
-        """The value of an SDK call that returns value, result and error; tried again on silence."""
+        """The value of an SDK call that returns value, result and error; retried without an answer."""
         result = dynamixel_sdk.COMM_RX_TIMEOUT
         for _ in range(attempts):
             with self._plugged():
@@ -309,7 +308,7 @@ class Bus:
 
     @contextmanager
     def _plugged(self) -> Iterator[None]:
-        """Turn what a vanished port raises into `Unplugged`."""
+        """Convert the exceptions of a disconnected port to `Unplugged`."""
         try:
             yield
         except (serial.SerialException, OSError, termios.error, TypeError, AttributeError) as error:
@@ -337,7 +336,8 @@ class Writer:
         bus._try(name, f"{value} for {register}", call)
 
     def sync_write(self, register: str, values: Mapping[str, int] | int) -> None:
-        """Write one register of servos at once, by joint, or of all alike; nothing answers, so read it back."""
+        """Write one register of servos in one packet, by joint or one value for all; there is no answer, so read it
+        back."""
         entry = DYNAMIXEL_X[register]
         if isinstance(values, int):
             values = dict.fromkeys(self._bus.joints, values)
@@ -349,7 +349,7 @@ class Writer:
         self.sync_write("goal_current", dict(zip(self._bus.joints, values, strict=True)))
 
     def prepare_block(self) -> Block:
-        """Choose the shortest block that the servos take for `Bus.read_state`, and set its indirect addresses up."""
+        """Choose the shortest block that the servos support for `Bus.read_state`, and set up its indirect addresses."""
         bus = self._bus
         for block in BLOCKS:
             if block.indirect and not self._point():

@@ -1,4 +1,4 @@
-"""The emulated robot as a user meets it: held up by the trunk, and put down on the floor when it is ready."""
+"""The emulated robot for users: held up by the trunk, and put down on the floor when it is ready."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ LOOK_EVERY = 0.032
 class Hands(Operator):
     """An operator who agrees to everything, holds the robot up, and puts it down when it is ready.
 
-    A robot without torque collapses, so it is energised and brought to its start pose in the air, hanging on the stand.
-    Putting it down makes the robot on the scene with the angles that its joints have, at rest. Until the policy begins
-    a board stands still.
+    A robot without torque collapses, so it is energised and moved to its start pose on the stand. Putting it down
+    creates the robot on the scene, at rest, with its present joint angles. A board does not move before the policy
+    begins.
 
     Args:
-        scene: where it is put down, a name that `op3.scenes.build_scene` knows.
+        scene: where it is put down, a name for `op3.scenes.build_scene`.
         task: whose scene and ground it is, moving as in the episode of the seed; None for the scene.
     """
 
@@ -50,7 +50,7 @@ class Hands(Operator):
         self._reached = 0.0
 
     def said_go(self, say: Callable[[str], None] = print) -> bool:
-        """Put the robot down and say go."""
+        """Put the robot down and confirm."""
         if self.holding:
             self.holding = False
             physics = self._make(self._scene, np.array(self._robot.physics.position))
@@ -61,13 +61,13 @@ class Hands(Operator):
         return True
 
     def begins(self) -> None:
-        """Set the ground in motion, and measure from here how far the robot gets."""
+        """Start the motion of the ground, and measure the distance travelled from here."""
         self._robot.physics.set_ground(self._board)
         self._origin = self._reached = self._robot.physics.foremost()
         self._look()
 
     def ends(self) -> None:
-        """Lift the robot, as a person does: on its way to the end pose it could neither walk nor balance."""
+        """Lift the robot, as a person does, because it cannot balance on its way to the end pose."""
         self.holding = True
         self._robot.replace(self._make("stand", np.array(self._robot.physics.position)))
 
@@ -78,7 +78,7 @@ class Hands(Operator):
         self._robot.at(self._robot.time + LOOK_EVERY, self._look)
 
     def travelled(self) -> float | None:
-        """How much further the inner tip of the foremost foot has been since the policy began [m]; None before it."""
+        """Largest advance of the foremost foot's inner tip since the policy began [m]; None before it."""
         return None if self._origin is None else self._reached - self._origin
 
 
@@ -90,7 +90,8 @@ def physics_maker(
     model: str | Path | None = None,
     seed: int = 0,
 ) -> tuple[MakePhysics, str]:
-    """What makes a robot on a scene, and what identifies it without telling its truth; see `emulate`."""
+    """A function that makes the robot on a scene, and metadata that identify it without its hidden parameters; see
+    `emulate`."""
     known = load_robot(robot)
     if model is None:
         truth = HiddenWorld.find(world, world_seed)
@@ -126,17 +127,17 @@ def emulate(
 
     Args:
         robot: a name in `assets/robots`, or the path of its file.
-        world: the stand-in's truth; see `op3.stand_in.HiddenWorld.find`. Ignored where a model is given.
+        world: hidden parameters of the stand-in; see `op3.stand_in.HiddenWorld.find`. Ignored if a model is given.
         world_seed: which random world; None: as `seed`.
-        model: name or file of a model, instead of a stand-in; "own" for that which its servos' makes give.
-        scene: where it is put down: a name that `op3.scenes.build_scene` knows.
+        model: name or file of a model, instead of a stand-in; "own": the model of its servo makes.
+        scene: where it is put down: a name for `op3.scenes.build_scene`.
         task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
         joint_position: [joint] in rad at the start; None for home.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
         jig: whether something holds the joints where they are at the start.
 
     Returns:
-        The robot, the operator who holds it, and what identifies the robot without telling its truth.
+        The robot, the operator who holds it, and metadata that identify the robot without its hidden parameters.
     """
     Units(load_robot(robot))  # refuses servos of another bus before anything is made of them
     where, task = seed if world_seed is None else world_seed, None if task is None else find_task(task)

@@ -1,4 +1,4 @@
-"""How a run on the robot ended, as the exit code of the process."""
+"""Exit codes of the process, by the end of a run on the robot."""
 
 from enum import IntEnum
 
@@ -6,15 +6,15 @@ from enum import IntEnum
 class ExitCode(IntEnum):
     """Exit codes of `experiments/deploy.py`.
 
-    From 10 on nothing was energised, but for 13, where torque may have been on for a moment and is off again. From 20
-    on the loop was running, with torque unless the mode has none, and ended early for this reason; torque was switched
-    off and read back. 40 is the one that needs a hand on the battery switch.
+    Codes 10 to 12: nothing was energised. 13: torque may have been on for a moment and is off again. From 20 on: the
+    loop was running, with torque unless the mode has none, and ended early for this reason; torque was switched off and
+    read back. 40: switch the battery off by hand.
     """
 
     OK = 0
-    """The run ended as asked."""
+    """The run ended as planned."""
     USAGE = 1
-    """A wrong argument or file; one sentence says which."""
+    """A wrong argument or file; the message states which."""
     START_CHECK = 10
     """A start check failed; nothing was energised."""
     DECLINED = 11
@@ -22,13 +22,13 @@ class ExitCode(IntEnum):
     PORT = 12
     """The port could not be opened."""
     ENERGISE = 13
-    """A servo did not take the settings that make switching torque on safe; torque is off."""
+    """A servo did not accept the settings that are required before torque; torque is off."""
     FALL = 20
     """Roll or pitch stayed beyond the limit."""
     BUS_LOSS = 21
     """A servo or the IMU did not answer for 96 ms."""
     UNPLUGGED = 22
-    """The serial port went away."""
+    """The serial port disappeared."""
     IMU_FROZEN = 23
     """The IMU repeated the same block."""
     SERVO_SHUTDOWN = 24
@@ -38,7 +38,7 @@ class ExitCode(IntEnum):
     VOLTAGE = 26
     """The supply voltage is too low."""
     NON_FINITE = 27
-    """The policy or the controller asked for something that is not a finite number."""
+    """The policy or the controller commanded a value that is not finite."""
     OVERRUN = 28
     """The loop was blocked so long that the servos' watchdogs switched torque off."""
     POSITION_JUMP = 29
@@ -46,15 +46,15 @@ class ExitCode(IntEnum):
     ERROR = 30
     """An unexpected error, printed above."""
     SELF_COLLISION = 31
-    """Parts of the robot were about to collide, by its measured or its commanded angles."""
+    """Parts of the robot were about to collide at its measured or commanded angles."""
     TORQUE_LOST = 32
     """No current follows a servo's goal: another program switched its torque off, or its motor is broken."""
     NOT_VERIFIED = 40
     """Torque off could not be read back from every servo: switch the power off by hand."""
     REPLAY = 50
-    """Replaying a log gave other actions than were recorded."""
+    """A replay of a log gave other actions than recorded."""
     HANGUP = 129
-    """SIGHUP: the terminal went away; torque was switched off."""
+    """SIGHUP: the terminal was closed; torque was switched off."""
     INTERRUPTED = 130
     """SIGINT (Ctrl-C); torque was switched off."""
     QUIT = 131

@@ -33,12 +33,12 @@ class Limits:
         peak_current: largest goal current of any joint [A]; None: that of each joint in the robot's file.
         continuous_current: continuous current rating of a servo [A]; None: that in the file of its make.
         p_gain: largest P gain that a policy may command [A/rad].
-        thermal_time: time constant with which the mean square of the current is formed [s].
+        thermal_time: time constant of the mean square current [s].
         temperature: a servo at or above this ends the run [C].
         voltage: a supply at or below this ends the run [V].
         start_voltage: a supply below this is not switched on [V].
-        fall_angle_deg: roll or pitch beyond this [deg] ...
-        fall_time: ... for this long ends the run [s].
+        fall_angle_deg: roll or pitch beyond which the robot falls [deg].
+        fall_time: time beyond that angle after which the run ends [s].
         coast_ticks: number of ticks without an answer of a servo or the IMU before the joints are damped.
         loss_time: time without an answer before torque is switched off [s].
         imu_repeats: number of identical IMU blocks in a row after which it counts as frozen.
@@ -102,13 +102,14 @@ class Command:
 
     @classmethod
     def of(cls, position: ArrayLike, p_gain: ArrayLike, d_gain: ArrayLike) -> Command:
-        """Gains that are numbers are those of all joints."""
+        """Expand gains that are single numbers to all joints."""
         position = np.array(position, dtype=float)
         gains = (np.broadcast_to(np.asarray(gain, dtype=float), position.shape).copy() for gain in (p_gain, d_gain))
         return cls(position, *gains)
 
     def limited(self, robot: Robot) -> Command:
-        """The same with targets inside the soft limits; a `Stop` if a number is not finite or a gain negative."""
+        """The same with targets clipped to the soft limits; raises `Stop` if a number is not finite or a gain
+        negative."""
         for name, values in vars(self).items():
             refuse(robot, name, values, ~np.isfinite(values) | ((values < 0) if name != "position" else False))
         return Command(self.position.clip(*robot.limits.T), self.p_gain, self.d_gain)
@@ -129,9 +130,9 @@ def refuse(robot: Robot, name: str, values: Array, bad: NDArray[np.bool_]) -> No
 class CurrentLimiter:
     """Converts commands to goal currents, and tracks the load of the servos.
 
-    The mean square of each current is followed with `Limits.thermal_time`. As it approaches the square of the
-    continuous current, the limit decreases from peak to continuous, so that an overloaded joint gets weaker instead of
-    hotter.
+    The mean square of each current is filtered with the time constant `Limits.thermal_time`. As it approaches the
+    square of the continuous current, the limit decreases from peak to continuous, so that an overloaded joint becomes
+    weaker instead of hotter.
     """
 
     def __init__(self, limits: Limits, robot: Robot, period: float, scale: float = 1.0):
@@ -154,7 +155,8 @@ class CurrentLimiter:
         return self._continuous + share * (self._peak - self._continuous)
 
     def counts(self, state: RobotState, command: Command) -> NDArray[np.int64]:
-        """Goal currents [joint] in counts: I* = Kp (q* - q) - Kd dq, within every limit; a `Stop` if one is none."""
+        """Goal currents [joint] in counts: I* = Kp (q* - q) - Kd dq, within all limits; raises `Stop` if one is not
+        finite."""
         current = command.p_gain * (command.position - state.position) - command.d_gain * state.velocity
         refuse(self._robot, "the current", current, ~np.isfinite(current))
         limit, (low, high) = np.floor(self.limit), self._robot.limits.T

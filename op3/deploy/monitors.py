@@ -1,4 +1,4 @@
-"""What is watched in every tick, and when it coasts, damps or ends the run."""
+"""Monitors of every tick, and the conditions under which they coast, damp or end the run."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from op3.robot import Robot
 from op3.robot.self_collision import Gap, SelfCollision
 
 CONFIRMED = 3
-"""Readings in a row that confirm a temperature; a single reading may be a glitch."""
+"""Consecutive readings that confirm a temperature; a single one may be a glitch."""
 
 ALIVE_COUNTS = 50
 """A servo that answers has at least 5 V; one that reports less has restarted and lost its indirect addresses."""
 
 FASTEST = 3.0
-"""No joint moves faster than this many times its servo's speed without load, even when it is pushed."""
+"""Largest speed of a joint, even when pushed, as a multiple of its servo's no-load speed."""
 
 LEAST_JUMP = 0.1
-"""A position that differs by less from reading to reading has not jumped [rad]."""
+"""Smallest difference of consecutive positions that can be a jump [rad]."""
 
 SAG_READINGS = 10
-"""Readings in a row that confirm a low supply; a step of load makes it sag for some milliseconds."""
+"""Consecutive readings that confirm a low supply; a load step makes it sag for some milliseconds."""
 
 
 @dataclass(frozen=True)
 class MonitorResult:
-    """Whether the joints are damped instead of driven, and what the operator should know, empty if all is well."""
+    """Whether the joints are damped instead of driven, and a note to the operator, empty if all is well."""
 
     damp: bool = False
     note: str = ""
 
 
 class Monitor:
-    """Judges one reading after the other, one per `period` [s]."""
+    """Checks the readings, one per `period` [s]."""
 
     def __init__(self, limits: Limits, robot: Robot, period: float):
         self._limits, self._period = limits, period
@@ -53,10 +53,10 @@ class Monitor:
         self._hot = self._low = 0
 
     def judge(self, tick: int, time: float, state: RobotState) -> MonitorResult:
-        """Judge the reading of a tick by its number and the time of its deadline [s].
+        """Check the reading of a tick, given its number and the time of its deadline [s].
 
         Raises:
-            Stop: where the run has to end; `Stop.damp` says whether the joints are damped first.
+            Stop: if the run must end; `Stop.damp` states whether the joints are damped first.
         """
         heard = state.answered if state.imu_answered is None else np.append(state.answered, state.imu_answered)
         if self._last_heard is None:
@@ -77,10 +77,10 @@ class Monitor:
         return verdict
 
     def judge_command(self, state: RobotState, command: Command) -> None:
-        """Judge a command before it is carried out.
+        """Check a command before it is executed.
 
         Raises:
-            Stop: if it drives parts of the robot into each other.
+            Stop: if it makes parts of the robot collide.
         """
         gap = self._parts.commanded(state.position, command.position, command.p_gain, self._limits.overlap_ahead)
         self._check_parts("commanded", gap)
@@ -102,7 +102,7 @@ class Monitor:
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
 
     def _check_jump(self, silent: np.ndarray, state: RobotState) -> None:
-        """A controller that believes a position which cannot be drives the joint with all it has."""
+        """Detect impossible positions, on which a controller would drive the joint with full current."""
         before, self._last_position = self._last_position, state.position
         if before is None:  # the start checks found all joints within their limits
             before = np.clip(state.position, *self._limits_of_joints)

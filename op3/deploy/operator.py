@@ -1,4 +1,4 @@
-"""The person at the robot: asked before torque, and able to say go while the loop runs."""
+"""The person at the robot: confirms before torque, and starts the policy while the loop runs."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from contextlib import suppress
 
 
 class Operator:
-    """Someone who answers; this one agrees to everything at once, for the emulated robot and for tests."""
+    """An operator; this one confirms everything at once, for the emulated robot and for tests."""
 
     def confirm(self, text: str) -> bool:
         """Ask, and wait for the answer."""
         return True
 
     def said_go(self, say: Callable[[str], None] = print) -> bool:
-        """Whether go was said since the last call; never waits. `say` shows the person a line while the loop runs."""
+        """Whether the operator has confirmed since the last call; never waits. `say` shows a line while the loop
+        runs."""
         return True
 
     def begins(self) -> None:
-        """The policy begins now: set the ground in motion."""
+        """The policy begins: start the motion of the ground."""
 
     def ends(self) -> None:
-        """The policy is over: take hold of the robot."""
+        """The policy has ended: hold the robot."""
 
     def travelled(self) -> float | None:
-        """How far the robot has got since then [m]; None where nobody measured it, as a person does by hand."""
+        """Distance travelled since then [m]; None if not measured, as when a person measures it by hand."""
         return None
 
 
@@ -38,7 +39,7 @@ class Console(Operator):
         self._prompted = False
 
     def confirm(self, text: str) -> bool:
-        """Ask for the word yes."""
+        """Ask the person to type yes."""
         self._forget()
         print(f"{text} Type yes and Enter to continue: ", end="", flush=True)
         answer = sys.stdin.readline()
@@ -55,13 +56,13 @@ class Console(Operator):
 
     @staticmethod
     def _forget() -> None:
-        """An Enter from before the question is no answer to it."""
+        """Discard an Enter from before the question."""
         with suppress(OSError, ValueError, termios.error):
             termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
 def quietly(report: Callable[[str], None]) -> Callable[[str], None]:
-    """A report that does not fail where the terminal is gone: switching off matters more than saying so."""
+    """Report without failing if the terminal is closed, so that switching off continues."""
 
     def say(text: str) -> None:
         with suppress(OSError, ValueError):

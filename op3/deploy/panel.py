@@ -24,13 +24,12 @@ RECENT = 1250
 
 
 class StatusPanel:
-    """Rewrites a block of text a few times a second; silent where the output is not a terminal.
-
-    Writing is left to a thread: a terminal that stalls, such as one at the end of a slow network, must not hold up the
-    loop. What it has no time to show is skipped; what is said appears above the block and stays there.
+    """Rewrites a block of text a few times a second; silent if the output is not a terminal. A thread writes it, so
+    that a stalled terminal, such as one on a slow network, does not block the loop. Updates that it cannot show in time
+    are skipped; messages appear above the block and remain.
 
     Args:
-        wanted: whether anything is to be shown in place; what is said always is.
+        wanted: whether to show the block; messages are always shown.
     """
 
     def __init__(self, robot: Robot, wanted: bool = True, stream: TextIO | None = None, every: int = 31):
@@ -51,20 +50,20 @@ class StatusPanel:
         verdict: MonitorResult,
         ticker: Ticker,
     ) -> None:
-        """Show a tick, if it is time to."""
+        """Show a tick, if an update is due."""
         self._ticks += 1
         if self.enabled and self._ticks % self._every == 1 and self._waiting.empty():
             self._put(self.text(phase, state, command, counts * self._unit, verdict, ticker))
 
     def say(self, line: str) -> None:
-        """Print a line that stays; while nothing is shown in place, at once."""
+        """Print a line that remains; immediately if no block is shown."""
         if self._thread is None:
             self._print(line)
         else:
             self._put(line)
 
     def close(self, patience: float = 1.0) -> None:
-        """Write what is left, if the terminal takes it within a time [s]."""
+        """Write the remaining text, if the terminal accepts it within a time [s]."""
         if self._thread is not None:
             self._waiting.put(None)
             self._thread.join(patience)
@@ -108,7 +107,7 @@ class StatusPanel:
         verdict: MonitorResult,
         ticker: Ticker,
     ) -> list[str]:
-        """One row per joint, time and attitude above, deadlines and worries below; goal currents [joint] in A."""
+        """One row per joint, with time and attitude above, deadlines and warnings below; goal currents [joint] in A."""
         timing, attitude = ticker.timing(last=RECENT), ""
         if state.orientation is not None:
             attitude = "roll {:6.1f} pitch {:6.1f} deg   ".format(*np.rad2deg(state.orientation[:2]))

@@ -1,4 +1,4 @@
-"""What the robot is asked to do in turn: ramp up, wait, follow a motion, watch, sit down."""
+"""Phases of a run: ramp up, wait, follow a motion, watch, sit down."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MOVE_SPEED = 1.0
 
 
 class Phase:
-    """Gives commands tick by tick. Targets outside the soft limits are clipped where they are carried out."""
+    """Gives commands tick by tick. Targets outside the soft limits are clipped at execution."""
 
     name = ""
     log = "approach"
@@ -54,7 +54,7 @@ class Phase:
 
 
 class GainRamp(Phase):
-    """Hold the pose in which the robot is found, with a P gain that rises from nothing over `GAIN_RAMP_TIME`."""
+    """Hold the measured pose, with a P gain that rises from zero over `GAIN_RAMP_TIME`."""
 
     name = "ramp"
 
@@ -70,7 +70,7 @@ class GainRamp(Phase):
 
 
 class Relax(Phase):
-    """Hold a pose while the stiffness goes over `GAIN_RAMP_TIME`, so that the robot sinks instead of dropping."""
+    """Hold a pose while the gains fall to zero over `GAIN_RAMP_TIME`, so that the robot sinks instead of dropping."""
 
     name = "relax"
     log = "after"
@@ -85,14 +85,14 @@ class Relax(Phase):
 
 
 class Move(Phase):
-    """A minimum-jerk move from where the targets are to a pose, so that neither targets nor stiffness jump.
+    """A minimum-jerk move from the current targets to a pose, so that neither targets nor gains jump.
 
     Args:
         pose: [joint] in rad.
         p_gain: [A/rad].
         d_gain: [A s/rad].
-        start: gives the command before it, whose gains become its own over `BLEND_TIME`; without it, or where there
-            is none, it starts from the measured pose.
+        start: gives the previous command, from whose gains it changes over `BLEND_TIME`; without a previous command the
+            move starts from the measured pose.
     """
 
     name = "move"
@@ -130,13 +130,13 @@ class Move(Phase):
 
 
 class HoldPose(Phase):
-    """Hold a pose until someone says so, or for a time.
+    """Hold a pose until a condition is met, or for a time.
 
     Args:
         pose: [joint] in rad.
         p_gain: [A/rad].
         d_gain: [A s/rad].
-        until: asked in every tick; True ends the phase. Raising `Stop` ends the run.
+        until: condition, evaluated in every tick; True ends the phase. Raising `Stop` ends the run.
         duration: longest time [s].
     """
 
@@ -162,7 +162,7 @@ class HoldPose(Phase):
 
 
 class Watch(Phase):
-    """Ask for nothing: the measured pose without stiffness, for a time [s]."""
+    """Command the measured pose with zero gains, for a time [s]."""
 
     name = "watch"
     log = "run"

@@ -1,4 +1,4 @@
-"""Robots that record motions and policies: the real one and the emulated one, behind the same two verbs."""
+"""Robots that record motions and policies: the real and the emulated one, with the same two methods."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from op3.tasks.task import Task, find_task
 
 
 class Player:
-    """Plays motions and policies on a robot and gives back their logs.
+    """Plays motions and policies on a robot and returns their logs.
 
-    Each recording is a run of its own, from start checks to torque off; all ticks of it are kept in a folder.
+    Each recording is a separate run, from start checks to torque off; all its ticks are stored in a folder.
 
     Args:
         robot: a name in `assets/robots`, or the path of its file.
-        folder: where the ticks of all runs are kept.
+        folder: folder of the ticks of all runs.
         calibration: file with the joints' offsets; None for none.
         confirm: whether a person is asked before torque.
         seed: of an emulated robot; the k-th recording adds k.
-        report: where lines for the operator go; None for the terminal, above the live view.
+        report: receives lines for the operator; None: the terminal, above the live view.
         emulation: further options of `op3.deploy.emulated.emulate`.
     """
 
@@ -78,15 +78,15 @@ class Player:
     ) -> Rollout:
         """Run one episode of a policy and record it.
 
-        A fall, or another reason to stop the robot while the policy commands it, ends the episode and is no
-        error: the log counts as fallen and says why in ``extra["ended_by"]``.
+        A fall, or another reason to stop the robot while the policy runs, ends the episode without an error: the log
+        counts as fallen, with the reason in ``extra["ended_by"]``.
 
         Args:
             cycle: duration of a gait cycle [s], for a policy that sees the phase.
             task: of the episode, and of an emulated robot's ground; None: the policy's, on the floor.
 
         Raises:
-            Stop: if the policy did not come to command the robot.
+            Stop: if the run ended before the policy began.
         """
         task = None if task is None else find_task(task)
         runner = PolicyRunner(bundle, cycle, robot=self._robot)
@@ -101,7 +101,7 @@ class Player:
         )
 
     def skip(self) -> None:
-        """Count a recording that exists already, so that the next is as it would have been after it."""
+        """Count a recording that exists already, so that the next one is the same as after recording it."""
         self._count += 1
 
     def _record(self, make: Any, recording: str | None, ground: Task | None = None, **options: Any) -> Rollout:
@@ -126,7 +126,7 @@ class Player:
 
 
 def _set_aside(ticks: Path) -> None:
-    """Keep the ticks of a run of this name that was cut short, under another one."""
+    """Rename the folder of an interrupted run of this name."""
     if ticks.exists():
         number = len(list(ticks.parent.glob(f"{ticks.name}.unfinished-*")))
         ticks.rename(ticks.with_name(f"{ticks.name}.unfinished-{number}"))
@@ -144,7 +144,7 @@ POLICY_FAILED = (
 
 
 def _ending(outcome: SessionOutcome, extra: dict[str, Any]) -> dict[str, Any]:
-    """What the metadata of an episode say of its end."""
+    """Metadata about the end of an episode."""
     if outcome.code == ExitCode.OK:
         return {}
     if outcome.ended_in == "run":

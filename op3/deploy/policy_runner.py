@@ -1,4 +1,4 @@
-"""A policy on the readings of one robot, by the functions of training; and a log through it again."""
+"""Runs a policy on the readings of one robot, with the functions of training; and replays a log through it."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class PolicyRunner:
         velocity: commanded: forwards and to the left [m/s], and rate of turning [rad/s], ``[3]``.
 
     Args:
-        cycle: duration of a gait cycle [s], for a policy that sees the phase; None for that of its task.
-        p_gain: the largest that it may ask for [A/rad].
+        cycle: duration of a gait cycle [s], for a policy that observes the phase; None: that of its task.
+        p_gain: largest gain that it may command [A/rad].
 
     Raises:
         ValueError: if the bundle cannot run on this robot; the message names the field.
@@ -143,16 +143,16 @@ class PolicyRunner:
 
 
 STOPPING = 2.0
-"""How long before its end a commanded walk gets a zero command [s]: the robot then comes to rest."""
+"""Time before the end of a commanded walk at which the command becomes zero [s], so that the robot comes to rest."""
 
 
 class FollowPolicy(Phase):
     """The phase in which the policy commands, every fourth deadline.
 
-    A policy that takes commands stands for the last `STOPPING` seconds, and from when its source of commands is lost.
+    A policy that takes commands stands during the last `STOPPING` seconds, and after its source of commands is lost.
 
     Args:
-        commands: what velocity is asked for; None: to stand.
+        commands: source of the velocity command; None: stand.
 
     Attributes:
         on_begin: called once, right before the first observation.
@@ -175,10 +175,10 @@ class FollowPolicy(Phase):
         runner.reset()
 
     def command(self, elapsed: int, state: RobotState) -> Command | None:
-        """The command in force; a new one where a policy step is due.
+        """The current command; a new one if a policy step is due.
 
         Raises:
-            Stop: if the policy refuses the observation or answers something that is not finite.
+            Stop: if the policy refuses the observation or its action is not finite.
         """
         # A step whose own deadline was skipped is made up for at the next tick.
         step = elapsed // POLICY_TICKS
@@ -217,13 +217,13 @@ class FollowPolicy(Phase):
         return STANDING.copy() if asked is None or ends else asked
 
     def channels(self) -> dict[Any, Array]:
-        """Observation and action in force."""
+        """Current observation and action."""
         return self._channels
 
 
 @dataclass(frozen=True)
 class PolicyReplay:
-    """What came out when so many policy steps of a log were fed to a policy again.
+    """Result of feeding a number of policy steps of a log to a policy again.
 
     Attributes:
         action_difference: largest absolute difference of an action.
@@ -238,7 +238,7 @@ class PolicyReplay:
 
     @property
     def ok(self) -> bool:
-        """Whether all actions are those that were taken."""
+        """Whether all actions equal the recorded ones."""
         return self.action_difference < TOLERANCE
 
     def __str__(self) -> str:

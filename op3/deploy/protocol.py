@@ -2,9 +2,9 @@
 
     FF FF FD 00 | id | length (2) | instruction | parameters | crc (2)
 
-`length` counts everything behind it. Instruction and parameters are stuffed: behind every FF FF FD comes one more FD,
-so that a header cannot appear inside a packet. The CRC is taken over all bytes before it, as they are on the wire.
-Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
+`length` counts everything after it. Instruction and parameters are stuffed: after every FF FF FD comes one more FD, so
+that a header cannot appear inside a packet. The CRC is taken over all bytes before it, as they are on the wire. Source:
+ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PATTERN = b"\xff\xff\xfd"
 
 
 class Instruction(IntEnum):
-    """What a packet asks for, or that it is an answer."""
+    """The instruction of a packet; `STATUS` for an answer."""
 
     PING_1 = -1
     """A ping of protocol 1.0, its only instruction that is supported."""
@@ -62,7 +62,7 @@ class Error(IntEnum):
 
 
 def _after_a_byte(register: int) -> int:
-    """What becomes of a register of 16 bits when eight bits of zero follow."""
+    """The CRC register of 16 bits after eight zero bits."""
     for _ in range(8):
         register = (register << 1 ^ (0x8005 if register & 0x8000 else 0)) & 0xFFFF
     return register
@@ -79,7 +79,7 @@ def crc16(data: bytes | bytearray, crc: int = 0) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Instruction and parameters as they go over the wire."""
+    """Instruction and parameters as sent over the wire."""
     return body.replace(_PATTERN, b"\xff\xff\xfd\xfd")
 
 
@@ -92,7 +92,7 @@ def encode(device: int, instruction: int, parameters: bytes = b"") -> bytes:
     """A whole packet, ready for the wire, for a device or from it.
 
     Raises:
-        ValueError: if the packet would be longer than `MAX_LENGTH`, or the id is none.
+        ValueError: if the packet would be longer than `MAX_LENGTH`, or the id is invalid.
     """
     if not 0 <= device <= BROADCAST_ID or device == 0xFD:
         raise ValueError(f"a device's id is 0 to {MAX_ID} or {BROADCAST_ID} for all, got {device}")
@@ -120,7 +120,7 @@ def encode_status_1(device: int) -> bytes:
 
 
 def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
-    """What each device sends of the status packet that they build together in answer to a fast sync or bulk read.
+    """Each device's part of the common status packet that answers a fast sync or bulk read.
 
     Each appends its error, id, data and a CRC over everything before; the packet's id is `BROADCAST_ID`, and nothing
     is stuffed. `parts` are error, id and data of each device in their order.
@@ -138,9 +138,9 @@ def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
 
 
 def fast_answers(data: bytes, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
-    """Error and bytes by id of each device in such a packet, of ids in the order asked, with so many bytes of each.
+    """Error and bytes of each device in such a packet, by id in the requested order, with the requested lengths.
 
-    Where a part is missing or damaged, the parts before it are still good and the rest is lost.
+    If a part is missing or damaged, the parts before it are valid and the rest is lost.
     """
     start = data.find(HEADER + bytes((BROADCAST_ID,)))
     if start < 0:
@@ -161,7 +161,7 @@ def fast_answers(data: bytes, ids: Sequence[int], length: int) -> dict[int, tupl
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet that arrived whole, for a device or from it.
+    """One complete packet, to a device or from it.
 
     Attributes:
         device: its id.
@@ -180,26 +180,26 @@ class Packet:
 
     @property
     def data(self) -> bytes:
-        """What a status packet carries behind its error byte."""
+        """The parameters of a status packet after its error byte."""
         return self.parameters[1:]
 
 
 class Parser:
-    """Finds packets in a stream of bytes, whatever stands between them.
+    """Finds packets in a stream of bytes, with any bytes between them.
 
-    A packet is accepted if its header, id and length are possible and its CRC is right; otherwise the search goes on
-    one byte behind its header, so that a packet behind a damaged one is found.
+    A packet is accepted if its header, id and length are possible and its CRC is right; otherwise the search continues
+    one byte after its header, so that a packet after a damaged one is found.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def reset(self) -> None:
-        """Forget what has begun."""
+        """Discard an incomplete packet."""
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Take bytes as they come; returns the packets that they complete. A ping of protocol 1.0 comes by itself."""
+        """Add received bytes; returns the packets that they complete. A ping of protocol 1.0 must arrive alone."""
         if len(data) == 6 and data == _packet_1(data[2], Instruction.PING):
             return [Packet(data[2], Instruction.PING_1, b"")]
         buffer = self._buffer
@@ -226,7 +226,7 @@ class Parser:
             found.append(Packet(device, body[0], body[1:]))
 
     def _begin(self) -> int:
-        """Where a header begins, or could begin with the bytes to come."""
+        """Index at which a header begins, or may begin with the next bytes."""
         buffer = self._buffer
         at = buffer.find(HEADER)
         if at >= 0:

@@ -23,7 +23,7 @@ OPERATING_MODES = (0, 1, 3, 4, 5, 16)
 """Values of the register `operating_mode`: current, velocity, position, extended and current-based position, PWM."""
 
 CURRENT_MODE = OPERATING_MODES[0]
-"""The mode in which a computer commands currents."""
+"""The operating mode for current commands."""
 
 WATCHDOG_UNIT = 0.02
 """Unit of the register `bus_watchdog` [s]."""
@@ -45,11 +45,11 @@ class Register:
         name: as in the manual, in lower case.
         address: of its first byte.
         size: bytes, least significant first.
-        initial: factory value; None where the device fills it in.
-        low: smallest value that may be written; None where none may.
+        initial: factory value; None if the device sets it.
+        low: smallest value that may be written; None if it is read-only.
         high: largest value that may be written.
         signed: whether it is in two's complement.
-        eeprom: whether it outlives power and can be written only with torque off.
+        eeprom: whether it is kept without power, and can be written only with torque off.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Register:
 
     @property
     def end(self) -> int:
-        """Address behind its last byte."""
+        """Address after its last byte."""
         return self.address + self.size
 
     @property
@@ -152,7 +152,7 @@ OPEN_CR_AXES = np.array([-1.0, -1.0, 1.0])
 
 
 class Units:
-    """What one unit of a register of each servo is worth, [joint] in SI, as their makes' files say.
+    """Size of one unit of a register of each servo, [joint] in SI units, from the files of their makes.
 
     Raises:
         ValueError: if a make is not one of those that the bus knows.

@@ -1,4 +1,4 @@
-"""What one tick reads from the robot: the registers and how they lie in packets, in SI units and as raw counts."""
+"""The readings of one tick: registers, their layout in packets, SI units and raw counts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PLAIN_LENGTH = CONTENTS["temperature"].end - FIRST_PLAIN
 """The block that needs no indirect addresses: from present current to present temperature, 21 bytes."""
 
 POINTERS = np.array([at for entry in CONTENTS.values() for at in range(entry.address, entry.end)], "<u2").tobytes()
-"""What the indirect addresses hold, from `FIRST_INDIRECT_ADDRESS` on: the address of each byte of the block."""
+"""Content of the indirect addresses, from `FIRST_INDIRECT_ADDRESS` on: the address of each byte of the block."""
 
 _INDIRECT = np.dtype([(name, entry.kind) for name, entry in CONTENTS.items()])
 _NEAR = {name: entry for name, entry in CONTENTS.items() if entry.address >= FIRST_PLAIN}
@@ -81,16 +81,16 @@ BLOCKS = (
     Block(FIRST_INDIRECT_DATA, _INDIRECT.itemsize, fast=False, indirect=True),
     Block(FIRST_PLAIN, PLAIN_LENGTH, fast=False, indirect=False),
 )
-"""Ways to read a tick, best first. The last one needs nothing set up and nothing but a sync read."""
+"""Ways to read a tick, best first. The last one needs no setup, and only a sync read."""
 
 BOARD_ADDRESS = OPEN_CR["button"].address
 BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
-"""What a tick reads from an OpenCR: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
+"""Registers that a tick reads from an OpenCR: buttons, voltage, gyro, accelerometer, roll-pitch-yaw, 20 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """One tick's reading. Where something did not answer, its last values stand. Without an IMU its channels are None.
+    """One tick's reading. Devices that did not answer keep their last values. Without an IMU its channels are None.
 
     Attributes:
         time: when reading ended [s, clock].
@@ -102,7 +102,7 @@ class RobotState:
         alert: [joint] whether the servo's status packet carried the ALERT bit.
         answered: [joint] whether the servo answered in this tick.
         supply_voltage: at the board, or the lowest of the servos [V].
-        raw: registers as they came, sign included: those of `CONTENTS` [joint], and `imu` [9]: gyro, accelerometer,
+        raw: registers as received, with sign: those of `CONTENTS` [joint], and `imu` [9]: gyro, accelerometer,
             roll-pitch-yaw.
         imu_answered: whether the IMU answered in this tick; None where there is none.
         orientation: [3] roll, pitch, yaw in rad, R = Rz(yaw) Ry(pitch) Rx(roll).
@@ -176,7 +176,7 @@ class CalibrationFile:
 
 
 class Calibration:
-    """What is added to a servo's angle to give the joint angle.
+    """Offsets that are added to the servos' angles to give joint angles.
 
     Args:
         offset: [joint] in rad; None for none.

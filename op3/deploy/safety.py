@@ -1,7 +1,7 @@
 """The one object that may write to the servos.
 
-Nothing else holds a write handle, so every current that reaches a servo has passed the limits here, and whatever
-ends the program passes through `Safety.release`.
+No other object has a write handle, so every current that reaches a servo has passed these limits, and every end of the
+program passes through `Safety.release`.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ RECOVERY_TIME = 0.25
 """Time in which P gains return after a loss of answers that led to damping [s]."""
 
 RELEASE_WRITES = 3
-"""How often zero current and torque off are sent before they are read back."""
+"""Number of times that zero current and torque off are sent before they are read back."""
 
 RELEASE_PATIENCE = 5.0
-"""How long torque off is tried on a silent bus [s]."""
+"""Time for which torque off is retried on a silent bus [s]."""
 
 ASKED = 40
 """Goal current from which a measured current must follow [counts]."""
@@ -58,11 +58,11 @@ SILENT = 25
 
 @dataclass(frozen=True)
 class Release:
-    """What became of switching torque off.
+    """Result of switching torque off.
 
     Attributes:
         verified: joints whose torque reads off.
-        failed: joints whose torque does not, or that do not answer, and what is known of them.
+        failed: joints whose torque reads on, or that do not answer, with details.
     """
 
     verified: tuple[str, ...]
@@ -82,7 +82,7 @@ class Release:
 
 
 class Onlooker:
-    """What the loop asks about every tick; this one has no write handle, so that nothing is done.
+    """The interface of the loop to the guard; this class has no write handle and does nothing.
 
     Attributes:
         torque: whether torque may be switched on at all.
@@ -105,7 +105,7 @@ class Onlooker:
         return StartChecks(self.bus, writer, self.limits, lambda check: self._report(str(check)))
 
     def check_start(self) -> None:
-        """Run the start checks and tell what they find."""
+        """Run the start checks and report the results."""
         self._checks(None).run()
 
     def prepare(self) -> None:
@@ -115,12 +115,12 @@ class Onlooker:
         """Switch torque on."""
 
     def assess(self, tick: Tick, state: RobotState) -> MonitorResult:
-        """Judge a reading: here everything is allowed, since nothing is done; losses are reported."""
+        """Check a reading: here everything is allowed, as nothing is driven; losses are reported."""
         silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
         return MonitorResult(note=f"no answer from {', '.join(silent)}" if silent else "")
 
     def write(self, state: RobotState, command: Command, verdict: MonitorResult) -> tuple[NDArray[np.int64], Command]:
-        """Carry out a command; gives goal currents [joint] in counts, and the command as it was carried out."""
+        """Execute a command; returns goal currents [joint] in counts, and the executed command."""
         return np.zeros(len(self._joints), dtype=np.int64), command
 
     def release(self) -> Release:
@@ -163,7 +163,7 @@ class Safety(Onlooker):
         return self._limiter.load
 
     def check_start(self, *, whole: bool = True) -> None:
-        """Run the start checks, or only those without which nothing can be written.
+        """Run the start checks, or only those that are required for writing.
 
         Raises:
             Stop: if one fails; nothing is energised.
@@ -174,13 +174,13 @@ class Safety(Onlooker):
             raise Stop(ExitCode.START_CHECK, f"{last.name}: {last.detail}")
 
     def prepare(self) -> None:
-        """Choose how a tick is read, and tell."""
+        """Choose how a tick is read, and report it."""
         block = self._writer.prepare_block()
         way = "fast sync read" if block.fast else "sync read"
         self._report(f"reading {block.length} bytes per servo by {way}")
 
     def write_settings(self, values: Mapping[str, int | dict[str, int]]) -> None:
-        """Write registers of all servos, first of all torque off, where they differ.
+        """Write the registers of all servos that differ, torque off first.
 
         Raises:
             Stop: if a servo does not take a value.
@@ -192,8 +192,8 @@ class Safety(Onlooker):
         """Switch torque on, in the only order that is safe.
 
         A change of the operating mode sets the goal current to the current limit, so the goal is written afterwards
-        and read back from every servo before torque. A watchdog that has tripped makes the goals read-only, so it
-        is cleared first; armed it is last, because from then on the loop has to run.
+        and read back from every servo before torque. A tripped watchdog makes the goals read-only, so it is cleared
+        first; it is armed last, because from then on the loop must run.
 
         Raises:
             Stop: if a servo does not take a value.
@@ -211,7 +211,7 @@ class Safety(Onlooker):
     def _set(self, register: str, values: dict[str, int] | int, *, always: bool = False) -> None:
         """Write a register of all servos until it reads back; values already there are not written again.
 
-        EEPROM wears out, so a servo that has the value is left alone unless `always`.
+        EEPROM wears out, so a servo that already has the value is skipped unless `always`.
         """
         wanted = dict.fromkeys(self._joints, values) if isinstance(values, int) else values
         try:
@@ -230,7 +230,7 @@ class Safety(Onlooker):
         raise Stop(ExitCode.ENERGISE, f"{register} could not be set on {what}")
 
     def assess(self, tick: Tick, state: RobotState) -> MonitorResult:
-        """Judge a reading; raises `Stop` where the run has to end."""
+        """Check a reading; raises `Stop` if the run must end."""
         self._check_gap()
         verdict = self._monitor.judge(tick.index, tick.deadline, state)
         if self.torque and self._damped and not verdict.damp:
@@ -241,9 +241,8 @@ class Safety(Onlooker):
         return verdict
 
     def _check_letting_go(self, state: RobotState) -> None:
-        """A servo whose torque another program switches off answers as before, and no current follows its goal.
-
-        One that turns fast has little voltage left for a current, so it is not judged.
+        """Detect a servo whose torque another program switched off: it answers as before, but no current follows its
+        goal. A fast servo has little voltage left for a current, so it is not checked.
         """
         slow = np.abs(state.velocity) < 0.5 * self.bus.robot.speed_limits
         asked = state.answered & slow & (np.abs(self._written) >= ASKED)
@@ -265,7 +264,7 @@ class Safety(Onlooker):
             raise Stop(ExitCode.TORQUE_LOST, f"{said}, though its torque is on; check its motor and its driver")
 
     def _check_gap(self) -> None:
-        """A computer that was held up too long finds servos that ignore its goals until they are switched on again."""
+        """Stop after a pause that tripped the servos' watchdogs, which then ignore all goals."""
         if not self.torque or self._write_time is None:
             return
         gap = self.bus.clock.now() - self._write_time
@@ -276,22 +275,22 @@ class Safety(Onlooker):
             raise Stop(ExitCode.OVERRUN, f"{reason}; stop other programs on this computer")
 
     def _check_torque(self) -> None:
-        """After a long silence: a servo that restarted meanwhile has no torque and says nothing about it."""
+        """After a long silence, check for servos that restarted meanwhile and have no torque."""
         off = [name for name, value in self.bus.sync_read("torque_enable").items() if not value]
         if off:
             raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
 
     def write(self, state: RobotState, command: Command, verdict: MonitorResult) -> tuple[NDArray[np.int64], Command]:
-        """PD, every limit, and the goal currents on their way.
+        """Apply PD and all limits, and send the goal currents.
 
-        A servo that did not answer keeps its goal while coasting, and gets none while damping.
+        A servo that did not answer keeps its goal while coasting, and gets zero current while damping.
 
         Returns:
-            Goal currents [joint] in counts, and the command as it was carried out.
+            Goal currents [joint] in counts, and the executed command.
 
         Raises:
             Stop: if a number is not finite, or at the commanded angles the robot hits itself; then nothing is written.
-            Unplugged: if the port is gone.
+            Unplugged: if the port has disappeared.
         """
         command = command.limited(self.bus.robot)
         self._monitor.judge_command(state, command)
@@ -313,7 +312,7 @@ class Safety(Onlooker):
     def release(self, patience: float = RELEASE_PATIENCE) -> Release:
         """Switch torque off and read it back; tries for `patience` [s] on a bus that does not answer.
 
-        Never raises but for its own mistakes: whatever the bus does ends in the report.
+        Never raises for faults of the bus; they are in the report.
         """
         clock = self.bus.clock
         end = clock.now() + patience
@@ -349,7 +348,7 @@ class Safety(Onlooker):
         return Release(tuple(name for name in self._joints if name not in failed), failed)
 
     def _attempt(self, call: Callable[[], object]) -> None:
-        """Do something on the bus; if the port has gone, try to open it again."""
+        """Call a function of the bus; if the port has disappeared, try to reopen it."""
         with suppress(BusError):
             try:
                 call()

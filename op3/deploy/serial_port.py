@@ -8,13 +8,13 @@ import dynamixel_sdk
 import serial
 
 WRITE_TIMEOUT = 0.05
-"""How long the computer's own buffer may refuse bytes [s]; an adapter that hangs would otherwise block the program."""
+"""Longest time that the computer's buffer may refuse bytes [s]; a hanging adapter would otherwise block the program."""
 
 
 class SerialPort(dynamixel_sdk.PortHandler):
     """The SDK's port on a real device or a pty, waiting for bytes instead of polling for them.
 
-    One program at a time: a second one would talk into the answers of the first.
+    Only one program may open it: a second one would disturb the answers to the first.
     """
 
     def setupPort(self, cflag_baud: int) -> bool:
@@ -31,7 +31,7 @@ class SerialPort(dynamixel_sdk.PortHandler):
         return True
 
     def writePort(self, packet: list[int]) -> int:
-        """Send bytes; what an adapter that hangs has not taken must not reach the servos later."""
+        """Send bytes; those that a hanging adapter did not accept must not reach the servos later."""
         assert self.ser is not None
         try:
             return self.ser.write(bytes(packet)) or 0
@@ -40,5 +40,5 @@ class SerialPort(dynamixel_sdk.PortHandler):
             raise
 
     def getCurrentTime(self) -> float:
-        """Time in ms; the SDK's own clock jumps where the computer's is set."""
+        """Time in ms; the SDK's clock would jump when the computer's clock is set."""
         return 1e3 * monotonic()

@@ -1,6 +1,6 @@
-"""A run from start checks to torque off, whatever happens in between.
+"""A run from start checks to torque off, whatever happens during it.
 
-Its loop reads all, judges, takes the command, computes PD and limits, and writes - in every tick, in this order.
+In every tick, the loop reads all devices, checks the readings, takes the command, computes PD and limits, and writes.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ IMU = ("orientation", "angular_velocity", "linear_acceleration")
 
 @dataclass(frozen=True)
 class SessionOutcome:
-    """How a run ended: exit code and reason, finished logs by name, and how well deadlines were kept.
+    """How a run ended: exit code and reason, finished logs by name, and statistics of the deadlines.
 
     Attributes:
-        release: what became of switching torque off; None where it was never on.
+        release: result of switching torque off; None if it was never on.
         ended_in: the log in which the run ended early; None if it did not.
     """
 
@@ -67,7 +67,7 @@ class Logs:
         self._start: float | None = None
 
     def open(self) -> None:
-        """Make the folders now: a disk may take longer for that than a running loop has time."""
+        """Create the folders before the loop, which has no time for it."""
         for name in LOG_NAMES:
             label = name if self._metadata.recording is None else f"{self._metadata.recording}/{name}"
             self._recorders[name] = Recorder(self._folder / name, self._metadata.replace(recording=label))
@@ -80,7 +80,7 @@ class Logs:
         self._recorders[name].append(row)
 
     def close(self, fell_in: str | None, extra: dict[str, Any]) -> dict[str, Rollout]:
-        """Finish all logs; one that cannot be finished stays behind as a crash would leave it.
+        """Finish all logs; one that cannot be finished remains as after a crash.
 
         `fell_in` is the log in which the robot fell, if it did.
         """
@@ -103,12 +103,12 @@ _CODES = {
 
 
 class StopSignals:
-    """While it is entered, the first signal raises `Stop` wherever the program is; later ones do nothing.
+    """Within this context, the first signal raises `Stop` wherever the program is; later ones are ignored.
 
-    So an impatient second Ctrl-C cannot interrupt switching off. `hush` says that from now on even the first signal
-    is ignored: the exit path has begun. In a thread other than the main one signals are left alone.
+    A second Ctrl-C therefore cannot interrupt switching off. After `hush` even the first signal is ignored, because the
+    exit path has begun. In threads other than the main one, signals are unchanged.
 
-    Foreign code may swallow what is raised in it, as a finaliser or a bare `except` does; `check` raises it again.
+    Other code may swallow the exception, as a finaliser or a bare `except` does; `check` raises it again.
     """
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ class StopSignals:
         self._quiet = True
 
     def check(self) -> None:
-        """Raise the first signal's `Stop` once more, if there was a signal and the program still goes on."""
+        """Raise the first signal's `Stop` again, if there was a signal and the program is still running."""
         if self._stop is not None and not self._quiet:
             raise self._stop
 
@@ -151,7 +151,7 @@ class Session:
         show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
 
     Attributes:
-        issued: the command of the last tick, as it was carried out; None before the first.
+        issued: the executed command of the last tick; None before the first.
     """
 
     def __init__(
@@ -175,13 +175,13 @@ class Session:
 
     @property
     def timing(self) -> Timing:
-        """How well the deadlines have been kept so far."""
+        """Statistics of the deadlines so far."""
         return Timing() if self._ticker is None else self._ticker.timing()
 
     def run(self, phases: Phases) -> SessionOutcome:
-        """Check, energise, run the phases, switch off; whatever ends it is in the outcome.
+        """Check, energise, run the phases, switch off; the outcome states what ended the run.
 
-        Anything that is no `Exception` (such as `SystemExit`) passes on after torque has been switched off.
+        Other exceptions than `Exception` (such as `SystemExit`) are raised again after torque has been switched off.
         """
         code, reason = ExitCode.OK, "done"
         with self._signals as signals:
@@ -239,7 +239,7 @@ class Session:
                 raise
 
     def _read_all(self) -> None:
-        """Readings until everything has answered once, so that no value is made up."""
+        """Read until every device has answered once, so that no value is invented."""
         heard: Any = False
         for _ in range(20):
             state = self._bus.read_state()
@@ -270,7 +270,7 @@ class Session:
                 self._show(phase.name, state, self.issued, counts, verdict, self._ticker)
 
     def _damp(self, reason: Stop) -> None:
-        """Brake for a while before torque goes off; a graver reason in between cuts it short."""
+        """Damp for a while before torque is switched off; a more severe event ends the damping."""
         assert self._ticker is not None
         self._log, self._channels = "after", {}
         for _ in range(round(self._safety.limits.damp_time / PERIOD)):
@@ -333,9 +333,9 @@ Phases = Callable[[Session], Sequence[Phase]]
 
 @contextmanager
 def _collected_garbage() -> Iterator[None]:
-    """Take everything that is there out of the garbage collector's sight.
+    """Exclude all existing objects from garbage collection.
 
-    A full collection in a process with torch and MuJoCo loaded takes longer than a tick, and grows with what is loaded.
+    A full collection in a process with torch and MuJoCo takes longer than a tick.
     """
     gc.collect()
     gc.freeze()

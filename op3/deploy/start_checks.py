@@ -1,4 +1,4 @@
-"""What has to be true before any torque. Every check only reads, but for switching on the servos' supply."""
+"""Checks before any torque. They only read, except for switching on the servos' supply."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from op3.robot.register_units import VOLTAGE_UNIT
 from op3.robot.self_collision import SelfCollision
 
 POWER_UP_TIME = 0.5
-"""How long servos take to start after their supply is switched on [s]."""
+"""Time for which servos start after their supply is switched on [s]."""
 
 LEAST_FIRMWARE = 38
 """First firmware of the XM430 with the bus watchdog; ROBOTIS e-Manual."""
@@ -40,7 +40,7 @@ LARGEST_TILT_DEG = 30.0
 """An upright trunk rolls and pitches less than this [deg]; the squat leans by 17."""
 
 MARGIN = 0.05
-"""How far a limp joint may hang beyond its soft limit [rad]."""
+"""Largest angle of a joint without torque beyond its soft limit [rad]."""
 
 LATE_ANSWER = 2.5
 """Median time of a ping with a latency timer of 1 ms is below this [ms]: wire and computer add 0.3."""
@@ -51,7 +51,7 @@ SAMPLES = 25
 
 @dataclass(frozen=True)
 class Check:
-    """The outcome of one check: what was found, and the remedy where it did not pass."""
+    """The outcome of one check: the finding, and the remedy if it failed."""
 
     name: str
     ok: bool
@@ -62,17 +62,17 @@ class Check:
 
 
 class Failed(Exception):
-    """A check did not pass; the message says what was found, and the remedy."""
+    """A check failed; the message states the finding and the remedy."""
 
 
 class StartChecks:
-    """The checks in their order; the first that fails ends them, since later ones rely on it.
+    """The checks in order; the first failure ends them, because later checks depend on earlier ones.
 
-    Each gives what was found, or raises `Failed`.
+    Each returns its finding, or raises `Failed`.
 
     Args:
-        writer: switches on the servos' supply and nothing else; None where that must not happen either.
-        report: takes each check as it is made.
+        writer: only switches on the servos' supply; None if not even that is allowed.
+        report: receives each check after it was made.
     """
 
     def __init__(self, bus: Bus, writer: Writer | None, limits: Limits, report: Callable[[Check], None]):
@@ -80,7 +80,7 @@ class StartChecks:
         self._joints, self._models = bus.joints, {}
 
     def run(self) -> Check:
-        """Run the checks; the last of them, which is the one that failed if one did."""
+        """Run the checks; if one fails, it is the last in the list."""
         return self._run(
             ("latency timer", self._latency_timer),
             ("servo power", self._power),
@@ -99,7 +99,7 @@ class StartChecks:
         )
 
     def run_power(self) -> Check:
-        """Only the checks without which nothing can be written."""
+        """Only the checks that are required for writing."""
         return self._run(("servo power", self._power), ("ping", self._ping))
 
     def _run(self, *checks: tuple[str, Callable[[], str]]) -> Check:
@@ -147,7 +147,7 @@ class StartChecks:
         return "switched on"
 
     def _blame_adapter(self) -> None:
-        """Say so where answers are only late: then whoever did not answer in time has no fault."""
+        """Report late answers first: a device that answers late is not faulty."""
         bus, waits = self._bus, []
         with bus.patience(SLOW_ANSWER, SLOW_ANSWER):
             for _ in range(9):
@@ -212,7 +212,7 @@ class StartChecks:
         raise Failed(f"{text}; {remedy}")
 
     def _servo_limits(self) -> str:
-        """The run has to end before a servo lets go by itself."""
+        """The run must end before a servo switches itself off."""
         limits = self._limits
         if cool := self._where("temperature_limit", lambda value: value <= limits.temperature, "{} C".format):
             raise Failed(
@@ -292,7 +292,7 @@ class StartChecks:
         return detail
 
     def _read(self) -> RobotState:
-        """A reading to which everything has answered at some time."""
+        """A reading after every device has answered at least once."""
         heard = np.zeros(len(self._joints), dtype=bool)
         for _ in range(10):
             state = self._bus.read_state()
@@ -304,12 +304,12 @@ class StartChecks:
         raise BusError(f"no answer from {silent} to ten readings")
 
     def _all(self, register: str) -> dict[str, int]:
-        """One register of all servos; those missed by the sync read are asked singly."""
+        """One register of all servos; those missed by the sync read are read singly."""
         values = self._bus.sync_read(register)
         return {name: values[name] if name in values else self._bus.read(name, register) for name in self._joints}
 
     def _where(self, register: str, wrong: Callable[[int], bool], shown: Callable[[int], str] = str) -> str:
-        """The servos of which a register is wrong, each with its value; empty where none is."""
+        """The servos with a wrong register, each with its value; empty if there are none."""
         return ", ".join(f"{name} {shown(value)}" for name, value in self._all(register).items() if wrong(value))
 
 

@@ -1,4 +1,4 @@
-"""Absolute deadlines, how well they were kept, and the time that they are counted in."""
+"""Absolute deadlines, their statistics, and their clock."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ POLICY_TICKS = 4
 
 
 class Clock(Protocol):
-    """Seconds since some fixed instant, and the only way that anything here waits."""
+    """A clock in seconds since a fixed instant, and the only way to wait in this package."""
 
     def now(self) -> float:
         """The time [s]; it never goes back."""
@@ -38,14 +38,14 @@ class MonotonicClock:
         return monotonic()
 
     def sleep_until(self, time: float) -> None:
-        """Wait until then [s]."""
+        """Wait until a time [s]."""
         while (remaining := time - monotonic()) > 0:
             sleep(remaining)
 
 
 @dataclass(frozen=True)
 class Tick:
-    """One deadline: its number, skipped ones counted, when it was due [s, clock], and how much later it began [s]."""
+    """One deadline: its number, counting skipped ones, its time [s, clock], and its lateness [s]."""
 
     index: int
     deadline: float
@@ -54,11 +54,11 @@ class Tick:
 
 @dataclass(frozen=True)
 class Timing:
-    """How well the deadlines were kept.
+    """Statistics of the deadlines.
 
     Attributes:
-        ticks: how many were run.
-        misses: how many were skipped because their time had passed.
+        ticks: number of ticks that were run.
+        misses: number of ticks that were skipped because their time had passed.
         p50: median lateness [s]; `p99` is exceeded by one tick in a hundred, `max` by none.
     """
 

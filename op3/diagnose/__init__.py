@@ -1,4 +1,5 @@
-"""Locate where simulation and logs disagree, name the missing effect, add it, show the gap shrink."""
+"""Diagnosis: locates the differences of simulation and logs, names the missing effect, adds it, and measures the
+gap."""
 
 from op3.diagnose.aliasing import aliasing
 from op3.diagnose.coordinates import with_chain

@@ -115,7 +115,7 @@ def within_sound_spread(reduction: Reduction, base: Baseline) -> Baseline:
 
 
 def evidence_gain(reduction: Reduction, base: Baseline, other: Baseline) -> float:
-    """-2 log evidence of one baseline minus that of another, mean over the reductions of both.
+    """-2 log evidence of one baseline minus that of another, averaged over both baselines' reductions.
 
     Each keeps its own variances, as the other's weights hide what it cannot explain, and the Jacobian of the reduction,
     which matters little at an optimum.

@@ -6,10 +6,11 @@ The rows of a joint (unmodelled torque, current, reported velocity, by window) a
 
 with ``B b`` the parameters of the baseline and of the measurement chain (wide priors), ``S a`` every effect of the
 catalogue in every set of joints, ``F w`` the joint's unmodelled torque, integrated out (random features: Rahimi and
-Recht 2007), and Student noise ``e`` (scale mixture: Lange, Little & Taylor 1989). No law is exact, so every effect has
-a small prior amplitude: the *spike*. A finding has a large one: the *slab*, truncated to the physical range (spike and
-slab: Mitchell & Beauchamp 1988; George & McCulloch 1993). The score of a candidate is the log evidence ratio of slab
-and spike, all else integrated out. Variances are estimated by expectation-maximisation without any candidate.
+Recht 2007), and Student noise ``e`` (scale mixture: Lange, Little & Taylor 1989). No law is exact, so the prior of
+every effect includes a small amplitude: the *spike*. That of a finding has a large one: the *slab*, truncated to the
+physical range (spike and slab: Mitchell & Beauchamp 1988; George & McCulloch 1993). The score of a candidate is the log
+evidence ratio of slab and spike, all else integrated out. Variances are estimated by expectation-maximisation without
+any candidate.
 """
 
 from collections.abc import Sequence

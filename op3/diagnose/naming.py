@@ -183,9 +183,9 @@ def best_refit(
 ) -> tuple[ScoredRefit, tuple[Rival, ...]]:
     """The refit that is named, and its rivals.
 
-    Held-out runs decide where they can. Among the refits that gain in the same runs and joints as the one with the
-    largest gain, and are not significantly worse, the evidence decides. Of related effects whose evidence differs by
-    less than an alarm the one with the fewest parameters is named.
+    Held-out runs decide if they can. The candidates are the refit with the largest gain and all those that gain in
+    the same runs and joints and are not significantly worse; among them, the evidence decides. Of related effects whose
+    evidence differs by less than an alarm the one with the fewest parameters is named.
 
     Args:
         accepted: refits with a significant gain.
@@ -212,7 +212,7 @@ def best_refit(
 
 
 def probability_shares(rivals: Sequence[Rival], settings: Settings) -> np.ndarray:
-    """The shares of a finding and of its rivals in the probability that one of them is there, ``[1 + rival]``.
+    """The shares of a finding and of its rivals in the probability that one of them is present, ``[1 + rival]``.
 
     A rival's odds fall with the finding's held-out gain over it, and by a factor of e for each `alarm` of log evidence
     between them: differences below an alarm also occur between wrong laws. No rival has more than the finding, which

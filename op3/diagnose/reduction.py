@@ -81,7 +81,7 @@ class Linearisation:
 
 
 class Reduction:
-    """Reduces windows of logs to rows.
+    """Reduces windows of logs to the rows of the linear model.
 
     Args:
         engine: windows of logs.

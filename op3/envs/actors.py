@@ -1,4 +1,4 @@
-"""Who acts: a policy bundle by its folder, or one of the policies without learning by its name."""
+"""Policies to evaluate: a policy bundle by its folder, or a fixed policy by its name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from op3.tasks.task import Task
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """Someone to be judged.
+    """A policy to evaluate.
 
     Attributes:
         label: short name.
@@ -39,7 +39,7 @@ class Actor:
         return hasattr(self.policy, "commands")
 
     def environment(self, task: Task, model: str | RobotModel, num_envs: int, seed: int, **options: Any) -> BatchedEnv:
-        """Robots for it to act on; further arguments are those of `op3.envs.make_env`."""
+        """An environment for the policy; further arguments are those of `op3.envs.make_env`."""
         if self.stiff:
             if isinstance(model, str):
                 model = model_for(load_robot(task.robot), None if model == "own" else model)
@@ -54,7 +54,7 @@ class Actor:
 
         Args:
             env: made by `environment`.
-            state: as `reset`, `begin` or the step before gave it.
+            state: result of `reset`, `begin` or the previous step.
 
         Returns:
             The state after it, without the reward.
@@ -90,7 +90,7 @@ class FixedGain:
 def find_actor(
     name: str, task: Task, *, seed: int = 0, hold_gain: float = 6.0, gain_scale: float = 1.0, field: str = "policy"
 ) -> Actor:
-    """A bundle or a baseline, once it is known to fit the task.
+    """A bundle or a baseline, checked against the task.
 
     Args:
         name: folder of a bundle, or hold, zero, random or stiff.
@@ -120,7 +120,7 @@ def find_actor(
 
 
 class Watched:
-    """A policy, and the states of the first robot whenever it acts.
+    """A policy that records the state of the first robot at every action.
 
     Args:
         policy: with a function ``act``, and perhaps ``commands``.

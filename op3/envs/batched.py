@@ -74,7 +74,7 @@ class BatchedEnv(EnvBase):
                 self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
         except (RuntimeError, ValueError) as error:
             if "can't allocate memory" in str(error):  # torch has no error of its own for it on processors
-                raise MemoryError(f"no memory for {num_envs} robots") from None
+                raise MemoryError(f"not enough memory for {num_envs} robots") from None
             raise
         drawn = self.mdp.event("randomisation")
         self.parameters_drawn: dict[str, Tensor] = {} if drawn is None else drawn.drawn
@@ -87,12 +87,12 @@ class BatchedEnv(EnvBase):
         self.commander: Any = None
         """Commands the servos itself at every tick, as `op3.tasks.StiffWalk` does; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
-        """Called with the number of the tick in the step, before it; a recorder looks at the robots here."""
+        """Called before each tick with its number within the step, for recorders."""
         set_specs(self, self.mdp)
         self.set_seed(seed)
 
     def _simulate(self, timestep: float | None) -> float:
-        """Make the simulation and look into its arrays; returns the time step of the physics [s]."""
+        """Make the simulation and look up its arrays; returns the time step of the physics [s]."""
         robot = self.scene.robot
         assert robot is not None
         compiled = self.scene.compile(visual=False)
@@ -156,7 +156,7 @@ class BatchedEnv(EnvBase):
         return self._begin(seeds)
 
     def begin(self, episodes: Mapping[int, int]) -> TensorDict:
-        """Start chosen episodes in some robots; the same episode starts equally in all robots.
+        """Start given episodes in some robots; an episode has the same initial state in every robot.
 
         Args:
             episodes: number of the episode, by index of the robot; the others continue.
@@ -219,12 +219,12 @@ class BatchedEnv(EnvBase):
             return as_tensordict(self.mdp, outcome.observation, outcome, statistics)
 
     def _scaled(self, commands: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Commands as the servos get them, on the processor."""
+        """Commands for the servos, on the CPU."""
         scale = self._gain_scale
         return {name: (value * scale if "gain" in name else value).cpu() for name, value in commands.items()}
 
     def _on_device(self) -> AbstractContextManager:
-        """Where new tensors are made on the environment's device."""
+        """Context in which new tensors are on the environment's device."""
         return nullcontext() if self.device == PROCESSOR else self.device
 
     def _to_device(self, measured: Any) -> Any:
@@ -236,7 +236,7 @@ class BatchedEnv(EnvBase):
         self._whole_step.look(self._qpos, self._qvel, self._sensordata.numpy(), self._sites, simulation.motor_current)
 
     def snapshot(self) -> Snapshot:
-        """The robots now."""
+        """A snapshot of the robots."""
         arrays = (self._qpos, self._qvel, *self._bodies, self._sites)
         qpos, qvel, place, turn, sites = map(torch_view, arrays)
         return self._probe.read(qpos, qvel, self._sensordata, (place, turn), sites, self.simulation.measure())

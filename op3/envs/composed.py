@@ -16,7 +16,7 @@ from op3.tasks.task import Task
 class ComposerEnv(EnvBase):
     """The composer twin of `op3.envs.BatchedEnv` with one robot: same actions, same observations and rewards.
 
-    It shows the task to everything that speaks composer, and checks the batched environment independently of
+    It makes the task available to software for composer, and checks the batched environment independently of
     ``mujoco.Batch``; for training the batched one is many times faster.
 
     Args:

@@ -18,20 +18,20 @@ from op3.rollout import Rollout
 
 @dataclass(frozen=True)
 class GaitValidity:
-    """What all episodes together show; None where there is no such thing, as the clearance of a robot that stands.
+    """Validity over all episodes; None if not applicable, such as the clearance of a standing robot.
 
     Attributes:
         self_contact: share of physics steps in which the robot touches itself [-].
         penetration: depth of the deepest contact of the robot with itself [m].
-        clearance: median over swings of how high the lowest corner of the sole rose above the higher one of the places
-            where it left the ground and where it touched it again [m].
+        clearance: median over swings of the largest height of the sole's lowest corner above the higher one of the
+            points of lift-off and touchdown [m].
         step_width: median over touchdowns of the distance of the soles' centres across the heading [m]; of bipeds.
         double_support: share of the time in which both feet are loaded [-]; of bipeds.
         foot_slip: mean horizontal speed of the lowest corner of a loaded foot's sole [m/s].
-        yaw_drift: mean over episodes of how far the heading turned, either way, per time [rad/s].
+        yaw_drift: mean over episodes of the absolute change of heading per time [rad/s].
         tilt: mean angle of the trunk from upright [rad].
         collision_ahead: share of episodes that `op3 deploy` would have ended for a measured or commanded pose in which
-            parts collide [-]; None where it was not looked at.
+            parts collide [-]; None if it was not checked.
     """
 
     self_contact: float
@@ -69,7 +69,7 @@ def judged_episodes(env: BatchedEnv, policy: Any, recording: str | None = None) 
 
 
 def gait_validity(traces: Traces, lengths: NDArray[np.int64], timestep: float = 0.001) -> GaitValidity:
-    """Judge episodes by their traces.
+    """Compute the validity of episodes from their traces.
 
     Self-contact counts from the first step on, everything else from `SKIPPED` on.
 

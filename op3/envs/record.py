@@ -19,7 +19,7 @@ Policy = Callable[[Tensor], Tensor]
 
 
 class _Tape:
-    """Channels of all robots, tick by tick; a policy's are filled in when its step is over."""
+    """Channels of all robots, tick by tick; those of the policy are filled in at the end of its step."""
 
     def __init__(self, env: BatchedEnv):
         self._env = env
@@ -27,7 +27,7 @@ class _Tape:
         self.tips: list[Tensor] = []
 
     def on_tick(self, tick: int) -> None:
-        """Log the sensors now, and the commands that hold from now."""
+        """Log the current sensor readings, and the commands that follow them."""
         env, signals = self._env, self._env.simulation.signals
         snapshot: Snapshot = env.snapshot()
         if snapshot.tip is not None:
@@ -50,7 +50,7 @@ class _Tape:
         self.ticks.append({key: value.clone() for key, value in row.items()})
 
     def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
-        """Add what the policy saw, did and got to the ticks of the step that is over."""
+        """Add observation, action and reward of the policy to the ticks of the last step."""
         if self._env.commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
             made = self._env.action_map
             legs = self._env.mdp.robot.indices(made.joints)

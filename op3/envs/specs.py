@@ -10,14 +10,14 @@ from op3.tasks.mdp import Mdp, Outcome
 from op3.tasks.whole_step import StepStatistics
 
 MEASURES = ("peak_force", "peak_acceleration", "peak_penetration", "self_contact")
-"""What training logs of a step besides reward and success, see `op3.tasks.whole_step.StepStatistics`."""
+"""Quantities that training logs besides reward and success, see `op3.tasks.whole_step.StepStatistics`."""
 
 
 def set_specs(env: EnvBase, mdp: Mdp) -> None:
     """Give an environment its specs.
 
     Observations, actions and rewards are float32; ``reward_terms`` holds the weighted contributions to the reward,
-    which is their sum; ``privileged`` is what critics alone see, and there only where the task has such terms.
+    which is their sum; ``privileged`` is only for critics, and exists only if the task has such terms.
     """
     num_envs = mdp.num_envs
     batch = torch.Size([num_envs])
@@ -44,7 +44,7 @@ def set_specs(env: EnvBase, mdp: Mdp) -> None:
 def as_tensordict(
     mdp: Mdp, observation: Tensor, outcome: Outcome | None = None, statistics: StepStatistics | None = None
 ) -> TensorDict:
-    """Output of an environment after a step; without an outcome, at the beginning of episodes."""
+    """Output of an environment after a step, or without an outcome at the beginning of episodes."""
     count = len(observation)
 
     def column(values: Tensor | None) -> Tensor:

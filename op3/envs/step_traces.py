@@ -1,4 +1,4 @@
-"""What only a simulator sees, every step of the physics: forces on the feet, motion of the soles, self-contact."""
+"""Traces that only a simulator has, at every physics step: forces on the feet, motion of the soles, self-contact."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ from op3.tasks.addresses import Addresses
 Array = NDArray[np.float32]
 
 TOUCHED, LIFTED = 5.0, 1.0
-"""Forces from which a foot stands, and up to which it is in the air [N]; the OP3 weighs 33 N."""
+"""Force from which a foot is on the ground, and force up to which it is in the air [N]; the OP3 weighs 33 N."""
 
 SHORTEST_SWING = 60
 """Steps of 1 ms in the air before a contact counts as a touchdown and not as a bounce."""
@@ -26,7 +26,7 @@ SKIPPED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """Robots of a batch, step by step of the physics; feet are those with soles, the left one first.
+    """Traces of the robots of a batch, one row per physics step; feet are those with soles, the left one first.
 
     Attributes:
         force: on each foot from outside, ``[time, sim, foot]`` in N.
@@ -34,7 +34,7 @@ class Traces:
         sole: height of the lowest corner of each foot's sole, ``[time, sim, foot]`` in m.
         slip: horizontal speed of that corner, ``[time, sim, foot]`` in m/s.
         centre: of each sole, forwards and to the left in the world, ``[time, sim, foot, 2]`` in m.
-        ahead: where the trunk is, forwards in the world, ``[time, sim]`` in m.
+        ahead: forward position of the trunk in the world, ``[time, sim]`` in m.
         tilt: angle of the trunk from upright, ``[time, sim]`` in rad.
         yaw: heading of the trunk, ``[time, sim]`` in rad, within pi of 0.
         penetration: depth of the deepest contact of the robot with itself, ``[time, sim]`` in m; 0 where there is none.
@@ -52,7 +52,7 @@ class Traces:
 
 
 class StepWatch:
-    """Looks at an environment's robots after every step of the physics while `watching`."""
+    """Records an environment's robots after every physics step within `watching`."""
 
     def __init__(self, env: BatchedEnv):
         self._env, batch, robot = env, env.simulation.batch, env.scene.robot
@@ -73,7 +73,7 @@ class StepWatch:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Look as long as this lasts, beside whoever looks already."""
+        """Record within this context, in addition to other observers."""
         simulation, before = self._env.simulation, self._env.simulation.on_step
 
         def look() -> None:
@@ -131,14 +131,14 @@ class StepWatch:
         return now[..., 2], speed, place[..., :2].mean(2)
 
     def traces(self) -> Traces:
-        """All that was seen."""
+        """The recorded traces."""
         return Traces(*(np.stack(values) for values in zip(*self._rows, strict=True)))
 
 
 def swings(force: NDArray[np.floating]) -> NDArray[np.int64]:
     """Swings of a foot: steps from the last contact before to the touchdown after, ``[swing, 2]``.
 
-    A touchdown is where a force ``[time]`` [N] on the foot first reaches `TOUCHED` after `SHORTEST_SWING` in the air;
+    A touchdown is when the force ``[time]`` [N] on the foot first reaches `TOUCHED` after `SHORTEST_SWING` in the air;
     a weaker touch during the swing belongs to it.
     """
     found, lifted, stands, left = [], 0, True, 0

@@ -1,4 +1,4 @@
-"""How well a walk obeys its commands: errors under changing commands, a table of speeds, and stopping."""
+"""How well a walk tracks its commands: errors under changing commands, a table of speeds, and stopping."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from op3.tasks.task import POLICY_PERIOD, Task, find_task
 Array = NDArray[np.float64]
 
 AXES = ("forward", "sideways", "turning")
-"""Of a velocity command [m/s, m/s, rad/s]."""
+"""Axes of a velocity command [m/s, m/s, rad/s]."""
 
 SETTLED = 1.0
 """Time after a change of the command from which errors count [s]: one stride."""
 
 STANDING_SPEED = 0.02
-"""Mean speed over a second below which a robot stands [m/s]: 2 cm in a second."""
+"""Mean speed over a second below which a robot counts as standing [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Robots under commands, policy step by policy step.
+    """Traces of robots under velocity commands, one row per policy step.
 
     Attributes:
         command: ``[step, robot, 3]``.
         velocity: forwards and to the left of the heading [m/s], and rate of turning [rad/s], ``[step, robot, 3]``.
         yaw: measured heading, unwrapped, ``[step, robot]`` in rad.
-        place: of the base in the world, ``[step, robot, 2]`` in m.
+        place: position of the base in the world, ``[step, robot, 2]`` in m.
         upright: whether the robot has not fallen yet, ``[step, robot]``.
     """
 
@@ -45,7 +45,7 @@ class Course:
     upright: NDArray[np.bool_]
 
     def errors(self, cycle: float) -> Array:
-        """Root mean square of what velocities miss, averaged over a stride, by axis: ``[3]`` in m/s, m/s, rad/s.
+        """Root mean square velocity error, averaged over a stride, by axis: ``[3]`` in m/s, m/s, rad/s.
 
         Steps count while a robot is upright and its command has been held for `SETTLED`.
 
@@ -85,7 +85,7 @@ def walk_course(actor: Actor, model: str | RobotModel, task: Task, robots: int, 
 
 
 def held(task: Task, velocity: tuple[float, float, float], duration: float, stop: float | None = None) -> Task:
-    """The task with one commanded velocity, and zero from a time on.
+    """The task with one commanded velocity, which becomes zero at a given time.
 
     Args:
         duration: of the episode [s].
@@ -100,14 +100,14 @@ def held(task: Task, velocity: tuple[float, float, float], duration: float, stop
 
 @dataclass(frozen=True)
 class Obedience:
-    """What a walk makes of its commands.
+    """How well a walk tracks its commands.
 
     Attributes:
         errors: root mean square under changing commands, by axis [m/s, m/s, rad/s].
-        upright: robots that did not fall under them.
-        robots: all of them.
+        upright: number of robots that did not fall under these commands.
+        robots: number of robots.
         speeds: commanded and achieved forward speed, with the standard deviation over robots [m/s].
-        stopped: robots that stood within 2 s of a zero command, and to the end of their episode.
+        stopped: number of robots that stood within 2 s of a zero command and until the end of the episode.
         stand_drift: mean path of the base in the 10 s after these [m].
         yaw_drift: mean change of the heading in 20 s of walking straight on, either way [rad].
     """
@@ -123,7 +123,7 @@ class Obedience:
     def __str__(self) -> str:
         forward, sideways, turning = self.errors
         return (
-            f"commands missed by {forward:.3f} m/s forward, {sideways:.3f} m/s sideways, {turning:.3f} rad/s turning"
+            f"velocity errors are {forward:.3f} m/s forward, {sideways:.3f} m/s sideways, {turning:.3f} rad/s turning"
             f" (RMS over strides); {self.upright} of {self.robots} upright; {self.stopped} of {self.robots} stop within"
             f" 2 s; heading drifts by {np.degrees(self.yaw_drift):.0f} deg in 20 s"
         )
@@ -139,7 +139,7 @@ def measure_obedience(
     report: Callable[[str], None] = print,
     **options: Any,
 ) -> Obedience:
-    """Measure what a walk makes of its commands.
+    """Measure how well a walk tracks its commands.
 
     Args:
         task: with a command ``velocity``.

@@ -1,4 +1,4 @@
-"""A model of the servo on a bench, where the given one is of a servo that a computer drives by current."""
+"""A model of the servo on a bench, if the given model is of a servo that a computer drives by current."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,12 @@ BENCH_BASES = {"sts3032": "rhoban_m1", "xl330": "xl330_m1"}
 
 
 def suited(model: RobotModel, logs: Sequence[Rollout]) -> RobotModel:
-    """The model itself, or one of the bench's servo with friction alone, whose values are a start.
+    """The model itself, or a model of the bench's servo with only friction, with initial values.
 
     A servo that closes the position loop in its firmware cannot be simulated by a PD that commands current.
 
     Raises:
-        LogError: if the logs name a servo of which there is no model.
+        LogError: if there is no model of the logs' servo.
     """
     first = logs[0]
     own_loop = first.metadata.mount == "pendulum" and "command/firmware_gain" in first

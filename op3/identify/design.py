@@ -21,18 +21,18 @@ NOISE: Mapping[tuple[str, str], float] = {
 }
 """Residuals of open-loop replays of the stand-in by channel, root mean squares [rad, rad/s, A].
 
-Sensors are far better; what counts is how well a model fits.
+The error of the model dominates; sensors are far better.
 """
 
 STEP = 0.05
 """Parameters are moved by this share of their range.
 
-Sticking makes predictions jump under tiny changes, which would promise more than a fit can keep; over a step of the
-size of an interval the jumps average out.
+Stiction makes predictions jump under tiny changes, which would give too narrow intervals; over a step of the size of an
+interval the jumps average out.
 """
 
 CORRELATION_TIME = 0.1
-"""Rows of a log closer than this count as one sample [s]; what a model leaves lasts about as long."""
+"""Rows of a log closer than this count as one sample [s]: residuals are correlated over about this time."""
 
 PRIOR = 12.0
 """Information before any log: a uniform distribution over its range has a variance of 1/12 ranges squared."""
@@ -43,7 +43,7 @@ WIDTH = 2 * 1.6449
 
 @dataclass(frozen=True, eq=False)
 class PlannedRecording:
-    """A motion of the library on a mount, its duration [s], and what it would tell.
+    """A motion of the library on a mount, its duration [s], and its information.
 
     Attributes:
         information: ``[parameter, parameter]``, per range squared.
@@ -80,8 +80,8 @@ def information(
 ) -> Array:
     """Fisher information of one recording about parameters, in units of their ranges.
 
-    The motion is simulated with the model, and the log is replayed open loop with every parameter moved both ways, as
-    one batch, just as identification will replay the real log.
+    The motion is simulated with the model, and the log is replayed open loop with every parameter changed in both
+    directions, in one batch, as identification replays a real log.
 
     Args:
         model: effects that are on, and the values around which the motions are judged.
@@ -117,7 +117,7 @@ def information(
 
 
 def check_choice(names: Sequence[str], wanted: Sequence[str], criterion: str) -> None:
-    """Refuse what `choose` cannot go by, which takes candidates that take minutes."""
+    """Check the arguments of `choose` before its candidates are computed, which takes minutes."""
     unknown = [name for name in wanted if name not in names]
     if unknown:
         raise ValueError(f"design: unknown parameter {unknown[0]!r}; there are {', '.join(names)}")
@@ -140,18 +140,18 @@ def choose(
 ) -> list[Step]:
     """Take greedily the recording that gains most per second of robot time, until the time is used up.
 
-    D: the logarithm of the volume of the wanted parameters' uncertainty; A: the sum of their variances. Parameters that
-    are not wanted stay unknown: they may trade off against the wanted ones.
+    D: the logarithm of the volume of the wanted parameters' uncertainty; A: the sum of their variances. All other
+    parameters count as unknown: they may trade off against the wanted ones.
 
     Args:
-        candidates: what may be recorded.
+        candidates: available recordings.
         names: of the parameters of the information matrices, in order.
         wanted: those whose intervals count.
         criterion: ``D`` or ``A``.
         seconds: robot time in all [s]; at least one recording is taken.
-        overhead: robot time for each recording beside its duration [s].
+        overhead: robot time for each recording in addition to its duration [s].
         mount_change: robot time for moving the robot to another mount [s].
-        repeats: a motion is recorded at most so often.
+        repeats: largest number of recordings of a motion.
     """
     places = [list(names).index(name) for name in wanted]
     known = np.eye(len(names)) * PRIOR

@@ -1,4 +1,4 @@
-"""What logs tell about parameters, and which combinations of parameters they cannot tell apart."""
+"""Which parameters logs determine, and which combinations of parameters they cannot distinguish."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from op3.identify.sensitivity import Sensitivity
 Array = NDArray[np.float64]
 
 SHARE = 0.5
-"""A parameter is identifiable where its 90 % interval is narrower than this share of the range searched."""
+"""A parameter is identifiable if its 90 % interval is narrower than this share of the searched range."""
 
 PART = 0.3
 """Smallest component of a combination's unit direction with which a parameter counts as part of it."""
@@ -37,7 +37,7 @@ class Identifiability:
         widths: width of each 90 % interval as a share of the range.
         at_bound: the parameters that ended at an end of the range searched; they are not called identifiable.
         identifiable: by parameter.
-        unknown: the combinations that the logs do not tell, in words, the worst first.
+        unknown: the combinations that the logs do not determine, in words, the worst first.
     """
 
     names: tuple[str, ...]
@@ -57,10 +57,10 @@ def identifiability(
     channels: Mapping[str, np.ndarray],
     intervals: Mapping[str, tuple[float, float]],
 ) -> Identifiability:
-    """Whiten the sensitivity matrix with the noise of each channel and look at its singular values.
+    """Whiten the sensitivity matrix with the noise of each channel and compute its singular values.
 
     Args:
-        blocks: indices of residuals that belong together; those of different blocks are taken as independent.
+        blocks: indices of correlated residuals; those of different blocks are assumed independent.
         channels: indices of the residuals of each channel.
         intervals: low and high of each parameter's interval.
     """
@@ -92,8 +92,8 @@ def identifiability(
 def noise_scale(residual: Array, index: np.ndarray, blocks: Sequence[np.ndarray]) -> float:
     """Standard deviation of one channel's residual, for as many independent samples as there are rows.
 
-    Neighbouring residuals are alike. If they were independent, the mean of a block of n would vary by sigma^2 / n;
-    what it varies by instead says how many rows count as one. It is never taken to be better than independent.
+    Neighbouring residuals are correlated. If they were independent, the mean of a block of n would have the variance
+    sigma^2 / n; its actual variance shows how many rows count as one sample, at least one.
 
     Args:
         blocks: indices of all residuals that belong together.
@@ -111,7 +111,7 @@ def noise_scale(residual: Array, index: np.ndarray, blocks: Sequence[np.ndarray]
 
 
 def in_words(names: Sequence[str], direction: Array) -> str:
-    """A combination that the logs do not tell, in one sentence.
+    """A combination that the logs do not determine, in one sentence.
 
     Args:
         direction: ``[parameter]``, of length one.
@@ -135,7 +135,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _correlation(values: Array, directions: Array) -> Array:
-    """Of the estimates, from the inverse of the information; what has none counts as the whole range."""
+    """Correlation of the estimates, from the inverse of the information; without information, from the whole range."""
     weak = 1.0 / np.maximum(np.square(values), 1.0)
     covariance = (directions.T * weak) @ directions
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))

@@ -125,7 +125,7 @@ class Refine:
 
 
 def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
-    """Refuse what cannot be searched in these logs from this model."""
+    """Refuse parameters that cannot be searched in these logs with this model."""
     base, condition = split_name(name)
     known = model.parameters()
     if base not in known:
@@ -271,7 +271,7 @@ class Identification:
         residuals: Residuals,
         how: Refine,
     ) -> tuple[Polished, list[float]]:
-        """Where the search from these trials, the best first, ends, and the losses on the way."""
+        """End of the refinement from these trials, the best first, and the losses during it."""
         candidates = [self._values(t.params) for t in trials[: max(how.starts, MOST_POINTS if how.rounds else 1)]]
         best, values, history = trials[0].value or 0.0, candidates[0], []
         failed = self.loss.failed_loss(len(self.problem.replay.logs))
@@ -295,7 +295,7 @@ class Identification:
         return polished, history
 
     def score(self, values: Mapping[str, float]) -> tuple[FitScore, FitScore | None]:
-        """Score one parameter set on the fitted and on the held-out logs; None where nothing is held out."""
+        """Score one parameter set on the fitted and on the held-out logs; None without held-out logs."""
         predictions = self._all.predict({name: torch.tensor([value]) for name, value in values.items()})
         self.problem.simulated_seconds += self.problem.replay.seconds
         count = len(self.problem.replay.logs)
@@ -318,9 +318,8 @@ class Identification:
         return {key.removeprefix(PREFIX): value for key, value in by_key.items()}
 
     def _blocks(self, predictions: Sequence[Prediction]) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
-        """Indices of the residual that belong together: by stretch of time, and by channel.
-
-        A stretch is a whole log where there are many, else a part of one.
+        """Indices of the residual by block of time, and by channel. A block is a whole log if there are many, else a
+        part of one.
         """
         stretches = 1 if len(self.problem.replay.logs) >= BLOCKS_PER_LOG else BLOCKS_PER_LOG
         blocks: list[list[np.ndarray]] = []
@@ -344,7 +343,7 @@ class Identification:
 
 
 def _for_other_conditions(model: RobotModel, names: Sequence[str]) -> dict[str, Estimate]:
-    """Shared values of parameters that were searched under conditions of logs only: the middle of what was found."""
+    """Shared values of parameters that were only searched under conditions of logs: the middle of their values."""
     result = {}
     for base in {split_name(name)[0] for name in names} - set(names):
         estimate = model.estimates[base]

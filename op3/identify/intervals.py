@@ -1,4 +1,4 @@
-"""How well the data determine parameters: 90 % intervals from noise, jumps of sticking, and steps not taken."""
+"""How well the data determine parameters: 90 % intervals from noise, stiction jumps and steps not taken."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,27 +18,27 @@ NOTHING = 1e-9
 
 
 def at_bound(place: float) -> bool:
-    """Whether a parameter at this place of its range, 0 to 1, has ended at an end of it."""
+    """Whether a parameter at this position in its range, 0 to 1, is at a bound."""
     return not EDGE < place < 1 - EDGE
 
 
 def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict[str, tuple[float, float]]:
-    """90 % intervals: what noise, sticking and the end of the search do to the estimate; covariances are added.
+    """90 % intervals from the effects of noise, stiction and an unfinished search; covariances are added.
 
-    **Noise.** ``d_b = (H - H_b)^-1 s_b`` with ``H = J'J``, ``H_b = J_b'J_b`` and ``s_b = J_b' r_b`` is how far a
-    Gauss-Newton step without block b moves; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife (CR3, Bell &
-    McCaffrey 2002), which stays honest with few blocks where the plain sandwich is too narrow. Residuals of one block
-    may be correlated in any way, those of different blocks are taken as independent.
+    **Noise.** ``d_b = (H - H_b)^-1 s_b`` with ``H = J'J``, ``H_b = J_b'J_b`` and ``s_b = J_b' r_b`` is the change of
+    the estimate by a Gauss-Newton step without block b; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife
+    (CR3, Bell & McCaffrey 2002), which remains valid with few blocks, for which the plain sandwich estimator is too
+    narrow. Residuals of one block may be correlated in any way; those of different blocks are assumed independent.
 
-    **Sticking.** Where it makes the residual jump, the loss has many hollows, and which of them is the deepest is
-    chance. Second differences are samples e of these jumps over the length of an interval; each would move the estimate
-    by ``H^-1 J' e``. The covariance is twice their mean square: what was measured has jumps of its own, and the
-    simulation has others. No independence in time is asked for.
+    **Stiction.** It makes the residual jump, so the loss has many local minima, and chance decides which is the
+    deepest. Second differences are samples e of these jumps over the length of an interval; each would move the
+    estimate by ``H^-1 J' e``. The covariance is twice their mean square, because measurement and simulation have
+    different jumps. Independence in time is not assumed.
 
-    **Steps not taken.** Differences as long as an interval see through the hollows to the slope of the whole: they may
-    foresee a step ``d = -H^-1 J' r`` along a valley that the search could not take, because the loss rose on its way.
-    In random worlds (`experiments/benchmarks/interval_coverage.py`) it led from the estimate towards the truth where
-    torque constant, armature, friction and mass had all stayed too high or too low together. ``d d'`` is added.
+    **Steps not taken.** Differences as long as an interval average over the local minima: they may predict a step ``d =
+    -H^-1 J' r`` along a valley that the search could not take, because the loss rose in between. In random worlds
+    (`experiments/benchmarks/interval_coverage.py`) it led from the estimate towards the truth if torque constant,
+    armature, friction and mass were all too high or all too low. ``d d'`` is added.
 
     Student's t with one degree of freedom less than there are blocks; clipped to the bounds.
 
@@ -70,7 +70,7 @@ def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict
 def followed_from_bounds(
     residuals: Residuals, sensitivity: Sensitivity, found: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """Intervals, widened where a parameter ended at a bound and the loss does not rise as its slope there says.
+    """Intervals, widened if a parameter ended at a bound and the loss rises less than its slope there predicts.
 
     From a bound differences reach to one side only, and an effect that sets in there (a voltage that begins to limit
     the current) fades away from it. So parameters at a bound are moved beyond the end of their interval, alone and with
@@ -108,7 +108,8 @@ def followed_from_bounds(
 
 
 def _step_left(sensitivity: Sensitivity, hessian: Array) -> Array:
-    """The Gauss-Newton step of all that is seen, within the box, foreseen from the estimate, ``[parameter]``."""
+    """The predicted Gauss-Newton step from the estimate, of identifiable combinations and within the box,
+    ``[parameter]``."""
     seen = np.flatnonzero(~sensitivity.unseen)
     step, unit = np.zeros(len(hessian)), sensitivity.unit[seen]
     if not len(seen):
@@ -124,7 +125,7 @@ def _squares(moves: Array) -> Array:
 
 
 def _unknown(hessian: Array) -> Array:
-    """Covariance of the combinations that change nothing: the whole ranges, ``[parameter, parameter]``."""
+    """Covariance of combinations without effect: the whole ranges, ``[parameter, parameter]``."""
     information, axes = np.linalg.eigh(hessian)
     nothing = axes[:, information <= NOTHING * max(1e-12, information.max())]
     return nothing @ nothing.T

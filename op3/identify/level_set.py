@@ -1,4 +1,4 @@
-"""Points that a log can hardly tell from the best one: draws from a level set of its loss."""
+"""Points that fit a log about as well as the best one: draws from a level set of its loss."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ STEPS_PER_PARAMETER = 10
 def draw_level_set(
     unit: Array, hessian: Array, gradient: Array, allowed: float, count: int, rng: np.random.Generator
 ) -> Array:
-    """Draw points around an optimum at which a least-squares loss is expected to have risen by so much at most.
+    """Draw points around an optimum at which the expected rise of a least-squares loss is limited.
 
-    Within the box the loss is taken as ``|r + J d|^2`` about the point, r the residual and J its jacobian; the set in
-    which it has risen by no more than what is allowed is an ellipsoid, long where parameters compensate each other. Its
-    overlap with the box is drawn from uniformly by hit-and-run (Smith 1984): from a point inside, go along a random
-    direction to a uniform place between the two ends of the set.
+    Within the box the loss is taken as ``|r + J d|^2`` about the point, r the residual and J its jacobian; the set with
+    at most the allowed rise is an ellipsoid, long where parameters compensate each other. Points of its overlap with
+    the box are drawn uniformly by hit-and-run (Smith 1984): from a point inside, move along a random direction to a
+    uniform position between the two ends of the set.
 
     Args:
         unit: the point in the unit box, ``[parameter]``.
@@ -43,7 +43,7 @@ def draw_level_set(
 def _chord(
     step: Array, direction: Array, hessian: Array, gradient: Array, allowed: float, unit: Array
 ) -> tuple[float, float]:
-    """How far one may go along a direction from a step inside the set, backwards and forwards."""
+    """Largest steps along a direction from a point inside the set, backwards and forwards."""
     # the loss along the line, a t^2 + 2 b t + c <= 0
     a = float(direction @ hessian @ direction)
     b = float(direction @ (hessian @ step + gradient))

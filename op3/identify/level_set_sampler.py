@@ -1,12 +1,13 @@
-"""NSGA-II that starts along the level set of one objective, where the other is lowered.
+"""NSGA-II with proposals along the level set of one objective that lower the other.
 
 Re-identification has two objectives of different kinds. The excitation loss is the squared length of a residual that
-changes almost linearly with the parameters, so where it stays low is an ellipsoid, long and thin, at an angle to all
-axes: crossover and mutation of single parameters leave it with most children. The distance of the returns says little
-about single parameters as long as nothing is known, and its own surface is rough. Both are learned from what finished
-trials say of themselves: a short image of the residual, and by how much the returns, sorted, miss those of the robot.
-Gaussian processes through these vectors (`op3.identify.surrogate`) foresee both objectives. Part of each population is
-drawn from the level set, where the second is foreseen to be lowest; the rest are children as ever, and all may breed.
+changes almost linearly with the parameters, so its region of low loss is an ellipsoid, long and thin, oblique to all
+axes: crossover and mutation of single parameters move most children out of it. The distance of the returns is rough and
+at first contains little information about single parameters. Both objectives are learned from vectors that finished
+trials store: a short projection of the residual, and the differences of the sorted returns from those of the robot.
+Gaussian processes of these vectors (`op3.identify.surrogate`) predict both objectives. Part of each population is drawn
+from the level set, where the second objective is predicted to be lowest; the rest are ordinary children, and all may
+become parents.
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,7 +74,7 @@ APART = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What finished trials say of themselves.
+    """Data of finished trials.
 
     Attributes:
         points: in the unit box, ``[trial, parameter]``.
@@ -88,16 +89,16 @@ class Observed:
     misfits: Array
 
     def near(self, limit: float) -> NDArray[np.bool_]:
-        """Trials that tell of the second objective and are not far beyond a limit of the first."""
+        """Trials with a second objective whose first one is not far above a limit."""
         return np.isfinite(self.misfits).all(1) & (self.losses <= FAR * limit)
 
 
 class LevelSetSampler(NSGAIISampler):
-    """NSGA-II of which the first children of every population are proposed by surrogates.
+    """NSGA-II in which surrogates propose the first children of every population.
 
     Args:
-        proposals: at most so many of each population, for which this sampler is rebuilt.
-        tolerated: the first objective may be so many times that of the trial marked as nominal, or of the lowest.
+        proposals: largest number per population, for which this sampler is rebuilt.
+        tolerated: allowed first objective, as a multiple of that of the trial marked as nominal, or of the lowest one.
     """
 
     def __init__(self, *, proposals: int, tolerated: float = 1.25, seed: int | None = None, **options: Any):
@@ -150,7 +151,7 @@ def residual_image(residual: Tensor) -> Tensor:
 
 
 def quantile_misfit(simulated: ArrayLike, actual: Sequence[float]) -> Array:
-    """By how much the quantiles of a sample miss those of another, ``[actual]``.
+    """Differences of the quantiles of a sample from those of another, ``[actual]``.
 
     The mean of their absolute values is the Wasserstein-1 distance where the samples are of one size.
     """
@@ -182,7 +183,7 @@ def _observed(trials: Sequence[FrozenTrial], box: Box) -> Observed | None:
 
 
 def propose(observed: Observed, limit: float, count: int, rng: np.random.Generator) -> Array:
-    """At most so many points at which the first objective is expected below a limit, and the second to be low.
+    """A limited number of points at which the first objective is expected below a limit, and the second to be low.
 
     They are ``[point, parameter]``, in the unit box.
     """
@@ -217,7 +218,7 @@ def propose(observed: Observed, limit: float, count: int, rng: np.random.Generat
 
 
 class _Losses:
-    """Foresees the first objective: the expected square of the image, times what images have been off by nearby."""
+    """Predicts the first objective: the expected square of the image, corrected by the error of nearby images."""
 
     def __init__(self, observed: Observed):
         order = np.argsort(observed.losses, kind="stable")[:LEARNED]

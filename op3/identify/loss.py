@@ -1,4 +1,4 @@
-"""How far a prediction is from a log: the paper's loss, its terms, and residuals for least squares."""
+"""Difference of a prediction from a log: the paper's loss, its terms, and residuals for least squares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
@@ -33,15 +33,14 @@ class TrajectoryLoss:
     currents I [A] over N focusing joints and T rows. Channels that a log does not have do not count.
 
     With a `robust_scale` c, a square d^2 is replaced by ``2 c (sqrt(d^2 + c^2) - c)``: it stays d^2 for small
-    differences and grows like ``2 c |d|`` for large ones, so that a few runs in which something else happened do not
-    decide (pseudo-Huber).
+    differences and grows like ``2 c |d|`` for large ones, so that a few outlying runs do not dominate (pseudo-Huber).
 
     Attributes:
         joints: focusing joints; all joints of a log where empty.
         weights: by channel. The paper's are one.
         robust_scale: c, in the unit of the channels; None for squares.
-        skip: rows before this time do not count [s]. How legs and feet pressed against each other before a log began is
-            not in it, and decides how the joints first break away.
+        skip: time at the beginning of a log that is omitted [s]. The initial contact forces are not in the log, and
+            determine when the joints first break away.
     """
 
     joints: Listed[str] = ()
@@ -56,7 +55,7 @@ class TrajectoryLoss:
             raise ValueError(f"weights: unknown channel {unknown or 'list (empty)'}; weigh channels such as {names}")
 
     def columns(self, log: Rollout) -> list[int]:
-        """Places of the focusing joints in a log's joint axis.
+        """Indices of the focusing joints in a log's joint axis.
 
         Raises:
             LogError: if the log does not have one of them.
@@ -160,11 +159,11 @@ class TrajectoryLoss:
         return torch.cat(parts, 1)
 
     def failed_loss(self, logs: int) -> float:
-        """A loss over so many logs that is reached only if at least one simulation diverged."""
+        """A loss over this number of logs that is reached only if at least one simulation diverged."""
         return 0.5 * FAILED_RESIDUAL**2 * min(weight for weight in self.weights.values() if weight > 0) / logs
 
     def _tamed(self, difference: Tensor) -> Tensor:
-        """Differences whose squares are the loss: themselves, or their pseudo-Huber roots."""
+        """Differences whose squares are the loss: unchanged, or their pseudo-Huber roots."""
         if self.robust_scale is None:
             return difference
         c = self.robust_scale

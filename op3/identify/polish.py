@@ -1,8 +1,8 @@
-"""The last steps to the minimum, and the sensitivities there.
+"""The final steps to the minimum, and the sensitivities there.
 
 Gauss-Newton with the differences of `op3.identify.sensitivity`: along combinations of parameters, and as long
-as an interval. So the matrix that says how well each parameter is known is the one that took the search there, and a
-valley in which parameters trade off is walked along, not across.
+as an interval. The matrix that determines the intervals is therefore the one that guided the search, and a valley in
+which parameters trade off is followed along its length.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,13 @@ GAIN = 1e-3
 """Smallest decrease of the loss per step, as a share of it; a smaller one ends the refinement."""
 
 LENGTHENED = 2
-"""How often difference steps are lengthened that prove too short."""
+"""Number of times that too short difference steps are lengthened."""
 
 
 @dataclass(frozen=True, eq=False)
 class Polished:
-    """Where the steps ended, the residual's squared length before and after every step, and sensitivities there."""
+    """The final point, the residual's squared length before and after every step, and sensitivities at the final
+    point."""
 
     values: Mapping[str, float]
     history: Sequence[float]
@@ -39,13 +40,13 @@ def polish(
     known: Array | None = None,
     failed_loss: float = np.inf,
 ) -> Polished:
-    """At most so many steps, each after a batch of 2 n differences; then the sensitivities.
+    """Take a number of steps, each after a batch of 2 n differences; then compute the sensitivities.
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
         values: the point to start from; outside the box it is clipped.
         steps: at most; 0 measures the sensitivities only.
-        curvature: what is known of the Jacobian's product with itself, ``[parameter, parameter]``; None: nothing.
+        curvature: estimate of the Jacobian's product with itself, ``[parameter, parameter]``; None: unknown.
         known: residual at the point to start from, ``[residual]``; None: it is simulated.
         failed_loss: a squared length of the residual that only a diverged simulation has.
     """

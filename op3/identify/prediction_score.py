@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 ERROR, EQ7 = ("error_mrad",), ("paper_eq7",)
 CHANNEL, JOINT, TRAJECTORY = "channel", "joint", "trajectory"
-"""What errors are of, followed by the channel, channel and joint, or motion."""
+"""Kinds of errors, followed by the channel, channel and joint, or motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class LogScore:
-    """What a model is worth on one log.
+    """Error of a model on one log.
 
     Attributes:
         error_mrad: mean absolute joint position error [mrad]; None where the simulation diverged.
@@ -45,7 +45,7 @@ class LogScore:
 
 @dataclass(frozen=True, eq=False)
 class PredictionScore:
-    """How far open-loop predictions are from logs. Every error is an estimate with its 90 % interval.
+    """Errors of open-loop predictions of logs, each with its 90 % interval.
 
     Attributes:
         error_mrad: mean absolute joint position error, averaged over logs [mrad].
@@ -53,7 +53,7 @@ class PredictionScore:
         channels: root mean square error by channel, in the channel's unit.
         joints: the same by channel and joint or axis.
         trajectories: position error by motion [mrad].
-        clusters: what was drawn by the bootstrap: ``logs`` or ``blocks``.
+        clusters: units of the bootstrap: ``logs`` or ``blocks``.
     """
 
     logs: Sequence[LogScore]
@@ -75,15 +75,14 @@ def predict_logs(
     bench_timestep: float = BENCH_CONTROL_PERIOD,
     seed: int = 0,
 ) -> PredictionScore:
-    """Replay logs with a model, open loop, and measure what is left.
+    """Replay logs with a model, open loop, and measure the errors.
 
     Where there are at least `FEWEST_LOGS` logs, whole logs are drawn with replacement: rows of one log are not
-    independent. Where there are fewer, each is cut into `BLOCKS` that are drawn; an interval then says nothing
-    about other motions.
+    independent. Where there are fewer, each is cut into `BLOCKS` that are drawn; such intervals do not cover other
+    motions.
 
     Args:
-        model: values that hold under a condition go before shared ones; a log whose condition the model does not know
-            gets the shared value.
+        model: values under a condition that a log meets replace the shared ones.
         joints: joints whose traces count; all of a log where empty.
         bench_timestep: simulation step of bench logs [s].
 
@@ -102,7 +101,7 @@ def score_predictions(
     seed: int = 0,
     simulated_seconds: float = 0.0,
 ) -> PredictionScore:
-    """Measure what predictions of one candidate leave; see `predict_logs`."""
+    """Measure the errors of predictions of one candidate; see `predict_logs`."""
     loss = TrajectoryLoss(tuple(joints))
     blocks = 1 if len(predictions) >= FEWEST_LOGS else BLOCKS
     scores, pooled = [], defaultdict(list)
@@ -132,14 +131,14 @@ def score_predictions(
 
 
 def was_fitted(model: RobotModel, log: Rollout) -> bool:
-    """Whether a model's file says that it was fitted to this log."""
+    """Whether a model was fitted to this log, according to its file."""
     return log.fingerprint() in (model.provenance.get("fitted_logs") or ())
 
 
 def _cluster_errors(
     loss: TrajectoryLoss, prediction: Prediction, blocks: int
 ) -> tuple[Array, dict[tuple[str, ...], Array]]:
-    """One log in clusters ``[cluster]``: weights that add up to one, and mean errors by what they are of.
+    """One log in clusters ``[cluster]``: weights that add up to one, and mean errors by kind.
 
     Errors of channels and joints are mean squares.
     """

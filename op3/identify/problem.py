@@ -14,7 +14,7 @@ from op3.rollout import Rollout
 from op3.servo import RobotModel
 
 KEPT = 128
-"""Evaluated parameter sets whose residuals are kept, the latest ones."""
+"""Number of the latest evaluated parameter sets whose residuals are kept."""
 
 
 class Problem:
@@ -37,7 +37,7 @@ class Problem:
 
         Args:
             parameters: by name, which may carry a condition: ``[candidate, joint]``, or shared ones ``[candidate]``;
-                with these, joints that have values of their own go along (`RobotModel.for_joints`).
+                with these, joints with separate values change in proportion (`RobotModel.for_joints`).
         """
         self.simulated_seconds += self.replay.seconds * candidates
         joints = self.replay.logs[0].joints
@@ -48,7 +48,7 @@ class Problem:
         return self.replay.run(self.model, given, candidates)
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
-        """The loss of every parameter set, its unweighted terms by channel beside it; all have the same names."""
+        """The loss of every parameter set, and its unweighted terms by channel; all have the same names."""
         predictions = self.predict(columns(population), len(population))
         losses = self.loss(predictions)
         self._keep(population, self.loss.residuals(predictions))
@@ -67,7 +67,7 @@ class Problem:
             del self._kept[key]
 
     def residuals_of(self, population: Sequence[Mapping[str, float]]) -> Tensor:
-        """Residuals of parameter sets, ``[candidate, residual]``; only those not evaluated lately are simulated."""
+        """Residuals of parameter sets, ``[candidate, residual]``; recently evaluated ones are not simulated again."""
         missing = [member for member in population if _key(member) not in self._kept]
         found = {_key(member): self._kept[_key(member)] for member in population if member not in missing}
         if missing:

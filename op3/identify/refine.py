@@ -17,7 +17,7 @@ TRIES = 4
 
 @dataclass(frozen=True)
 class Refinement:
-    """Where least squares ended from the best start, and the best loss before and after every iteration."""
+    """End of least squares from the best starting point, and the best loss before and after every iteration."""
 
     values: Mapping[str, float]
     loss: float
@@ -32,12 +32,12 @@ def refine(
     max_iterations: int = 25,
     tolerance: float = 2e-3,
 ) -> Refinement:
-    """Least squares from several starts.
+    """Least squares from several starting points.
 
     Args:
         residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
         starts: values to start from; those outside the box are clipped.
-        max_iterations: at most so many Jacobians of a start.
+        max_iterations: largest number of Jacobians per starting point.
         tolerance: a start has converged when an iteration lowers its loss by less than this share.
     """
     history = [np.inf]
@@ -72,13 +72,13 @@ def least_squares(
     tolerance: float,
     note: Callable[[float], None],
 ) -> tuple[Array, Array]:
-    """Go down within the unit box by a trust region (`scipy.optimize.least_squares`).
+    """Minimise within the unit box by a trust region method (`scipy.optimize.least_squares`).
 
     Args:
-        unit: where to begin, ``[parameter]``.
-        residual: there, ``[residual]``.
-        jacobian: at a point, from it and its residual: ``[residual, parameter]``.
-        steps: at most so many.
+        unit: starting point, ``[parameter]``.
+        residual: residual at the starting point, ``[residual]``.
+        jacobian: function of a point and its residual: ``[residual, parameter]``.
+        steps: largest number of steps.
         tolerance: a step that lowers the loss by less than this share is the last.
         note: called after every step with the loss, the squared length of the residual.
 

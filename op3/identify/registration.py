@@ -1,4 +1,4 @@
-"""What the configs need of Hydra before they are composed: the sweeper, groups of effects, motions, and interpolations.
+"""Registers with Hydra what the configs need: the sweeper, groups of effects, motions, and interpolations.
 
 Nothing of the library is imported for it until an interpolation is resolved.
 """
@@ -18,7 +18,7 @@ INTERPOLATIONS = ("range", "value", "start", "own", "each_joint")
 
 
 def register() -> None:
-    """Make them known to Hydra and OmegaConf; again is harmless."""
+    """Register them with Hydra and OmegaConf; repeated calls are harmless."""
     ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
     search_groups.register()
     for place, entries in config_variants().items():

@@ -2,10 +2,10 @@
 
 ``${range:torque_constant}`` is the catalogue's range as ``interval(0.003, 0.009)``; ``${value:torque_constant}`` is
 the value in the model that the config's key ``model`` names; ``${start:torque_constant}`` is the same, moved into the
-catalogue's range. ``${own:torque_constant,0.1,1.5}`` is the range ``interval(0.1, 1.5)`` where that model has the
-parameter, and null, which is not searched, where it has not; where the model has values under conditions, those are
-searched and not the shared one. ``${each_joint:}`` is what the config's `per_joint` asks the sweeper to search once for
-each joint. `op3.identify.registration` makes them known.
+catalogue's range. ``${own:torque_constant,0.1,1.5}`` is the range ``interval(0.1, 1.5)`` if that model has the
+parameter, else null, which is not searched; if the model has values under conditions, those are searched instead of the
+shared one. ``${each_joint:}`` is what the sweeper searches once for each joint, by the config's `per_joint`.
+`op3.identify.registration` registers them.
 """
 
 from functools import lru_cache
@@ -47,7 +47,7 @@ def chosen_model(config: DictConfig) -> RobotModel:
 
 
 def _bounds(name: str, config: DictConfig) -> tuple[float, float]:
-    """The catalogue's range; where a model comes from the makes of a robot's servos, one around what they say."""
+    """The catalogue's range; for a model built from a robot's servo makes, a range around their values."""
     known = parameter(name)
     if config.get("model") or chosen_robot(config).file.law:
         return known.low, known.high
@@ -68,7 +68,7 @@ def _of_the_base(known: Parameter) -> bool:
 
 
 def range_of(name: str, *, _root_: DictConfig) -> str | None:
-    """The range that is searched of a parameter; None of one that these logs cannot show."""
+    """The searched range of a parameter; None if these logs cannot show the parameter."""
     robot = chosen_robot(_root_)
     if (robot.file.fixed or robot.file.base is None) and _of_the_base(parameter(name)):
         return None  # what is bolted down shows neither mass nor centre of mass
@@ -85,7 +85,7 @@ def value_of(name: str, *, _root_: DictConfig) -> float:
 
 
 def own_of(name: str, low: float, high: float, *, _root_: DictConfig) -> str | None:
-    """This range where the model has the parameter; None where it has not."""
+    """This range if the model has the parameter, else None."""
     model = chosen_model(_root_)
     base, condition = split_name(name)
     if base not in model.parameters():
@@ -96,7 +96,7 @@ def own_of(name: str, low: float, high: float, *, _root_: DictConfig) -> str | N
 
 
 def each_joint_of(*, _root_: DictConfig) -> dict[str, list[str]]:
-    """What is searched once for each joint."""
+    """Parameters that are searched once for each joint."""
     joints, names = list(_root_.joints or chosen_robot(_root_).controlled), _root_.per_joint
     if isinstance(names, str):
         raise ValueError(f"per_joint must be a list: write per_joint=[{names}]")

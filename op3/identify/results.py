@@ -18,7 +18,7 @@ def summarize(study: optuna.Study) -> dict[str, Any]:
     Returns:
         `name`, `study_name`, `n_trials`, `n_failed`; with one objective `best_value`, `best_params`,
         `best_trial`, and `nominal_value`; with several `solutions`, the Pareto front in the order of the
-        trials, each with `trial`, `params` and `values`. What no complete trial gives is None.
+        trials, each with `trial`, `params` and `values`. Values are None without a complete trial.
     """
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     failed = study.get_trials(deepcopy=False, states=(TrialState.FAIL,))
@@ -44,6 +44,6 @@ def summarize(study: optuna.Study) -> dict[str, Any]:
 
 
 def write_results(folder: Path, results: dict[str, Any]) -> None:
-    """Write what studies found into a folder."""
+    """Write the results of studies into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / RESULTS_FILE, yaml.safe_dump(results, sort_keys=False, allow_unicode=True))

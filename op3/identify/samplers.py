@@ -1,8 +1,8 @@
 """Optuna's samplers by plain names, set up for populations.
 
-A study builds a fresh sampler for every population, seeded by the study's seed and the number of finished trials. So
-the next population depends on the stored trials alone, and a resumed study goes on where an uninterrupted one would
-have gone. This needs a sampler that keeps what it learns in the trials, as all those below do.
+A study builds a fresh sampler for every population, seeded by the study's seed and the number of finished trials. The
+next population therefore depends only on the stored trials, and a resumed study continues like an uninterrupted one.
+This requires samplers that store their state in the trials, as all those below do.
 """
 
 import functools
@@ -40,7 +40,7 @@ def make_sampler_factory(
 
     Args:
         sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `random`), or `{name: tpe, **options}`.
-        population: how many trials are asked at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
+        population: number of trials requested at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
             so that a few failed trials do not cost a generation.
         directions: number of objectives.
         nominal: the nominal parameters, where CMA-ES starts.
@@ -73,7 +73,7 @@ def _build(build: Callable[..., BaseSampler], options: Mapping[str, Any], seed: 
 
 
 def _defaults(name: str, population: int, nominal: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Options of a sampler where none are given."""
+    """Default options of a sampler."""
     generation = max(2, population - population // 8)
     if name == "tpe":
         # Multivariate TPE models the parameters together and costs a third of the default. Penalising the points of

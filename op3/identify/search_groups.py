@@ -24,11 +24,11 @@ TABLE_ONE: Mapping[str, Sequence[str]] = {
 
 
 SEARCHED = Path(__file__).with_name("searched_parameters.yaml")
-"""Searched parameters of each effect, as a file, so that the catalogue need not be imported."""
+"""File of the searched parameters of each effect, so that the catalogue need not be imported."""
 
 
 def searched_parameters() -> dict[str, tuple[str, ...]]:
-    """Parameters that are searched with each effect, by its name; effects of the user's once the catalogue is there."""
+    """Searched parameters of each effect by its name; those of a user's effects once the catalogue is imported."""
     if "op3.servo" not in sys.modules:
         return {name: tuple(names) for name, names in read_yaml(SEARCHED).items()}
     from op3.servo import catalogue
@@ -46,7 +46,7 @@ def search(names: Sequence[str]) -> dict[str, Any]:
 
 
 def register() -> None:
-    """Make the groups known to Hydra; again is harmless."""
+    """Register the groups with Hydra; repeated calls are harmless."""
     store, effects = ConfigStore.instance(), searched_parameters()
     for name, names in effects.items():
         store.store(group="effect", name=name, node={"effects": {name: {}}, **search(names)}, package="_global_")

@@ -19,7 +19,7 @@ SearchSpace = dict[str, FloatDistribution]
 
 
 class StudyError(ValueError):
-    """A study that cannot be, or cannot go on; the message says why, and what to write instead."""
+    """A study that cannot start or continue; the message states the reason and the remedy."""
 
 
 def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:

@@ -1,4 +1,4 @@
-"""What residuals do when parameters change: the matrix behind intervals and identifiability."""
+"""Sensitivity of residuals to parameters: the matrix behind intervals and identifiability."""
 
 from __future__ import annotations
 
@@ -61,16 +61,16 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Residuals at a point of a box, and how they change around it, by central differences along directions.
+    """Residuals at a point of a box, and their changes around it, by central differences along directions.
 
     Attributes:
         box: of the parameters.
-        unit: the point, as a share of the ranges, ``[parameter]``.
+        unit: the point, in shares of the ranges, ``[parameter]``.
         residual: there, ``[residual]``.
         jacobian: change of the residual per range, ``[residual, parameter]``.
-        jumps: samples of what sticking does to the residual, from second differences, ``[direction, residual]``.
-        unseen: parameters that move nothing, or next to which simulations diverged, ``[parameter]``.
-        curvature: product of the Jacobian with itself, less what jumps feign, ``[parameter, parameter]``.
+        jumps: samples of the residual's stiction jumps, from second differences, ``[direction, residual]``.
+        unseen: parameters without an effect, or next to which simulations diverged, ``[parameter]``.
+        curvature: product of the Jacobian with itself, minus the contribution of jumps, ``[parameter, parameter]``.
         axes: the directions, ``[parameter, direction]``.
         lengths: of the arms along them, as a share of the ranges, ``[direction]``.
     """
@@ -87,12 +87,12 @@ class Sensitivity:
 
     @property
     def jump(self) -> float:
-        """What jumps do to the squared residual, of the middle direction."""
+        """Median effect of jumps on the squared residual, over directions."""
         return float(np.median(np.square(self.jumps).sum(1)))
 
     @property
     def long_enough(self) -> bool:
-        """Whether no arm should be more than twice as long, by what they found."""
+        """Whether no arm should have been more than twice as long."""
         information = np.einsum("pd,pq,qd->d", self.axes, self.curvature, self.axes)
         loss = float(self.residual @ self.residual)
         return bool((_lengths(information, loss, self.jump) <= 2 * self.lengths).all())
@@ -114,16 +114,16 @@ def sensitivity_at(
 ) -> Sensitivity:
     """Differences as long as an interval, along the axes of the curvature: one batch of 2 n points.
 
-    Sticking makes residuals jump. Differences along single parameters take jumps for sensitivity: where parameters
-    trade off, what is left of their large influences is little, and the jumps of all of them hide it. So the residual
-    is compared at both ends of each combination that the curvature tells apart, far enough for the loss to rise by
-    `RISE` of itself and by `ABOVE_JUMPS` times what jumps do to it.
+    Stiction makes residuals jump, and differences along single parameters mistake jumps for sensitivity: if parameters
+    trade off, their large influences nearly cancel, and the jumps hide the rest. The residual is therefore compared at
+    both ends of each principal direction of the curvature, far enough for the loss to rise by the share `RISE` and by
+    `ABOVE_JUMPS` times the effect of jumps.
 
     Args:
         unit: the point, ``[parameter]``.
         residual: there, ``[residual]``.
-        curvature: what is known of the Jacobian's product with itself; None for short arms along the parameters.
-        jump: what jumps do to the squared residual, as far as it is known.
+        curvature: estimate of the Jacobian's product with itself; None for short arms along the parameters.
+        jump: known effect of jumps on the squared residual.
         failed_loss: a squared length of the residual that only a diverged simulation has.
     """
     size = len(unit)
@@ -156,6 +156,6 @@ def sensitivity_at(
 
 
 def _lengths(information: Array, loss: float, jump: float) -> Array:
-    """How long arms of this information should be, ``[direction]``."""
+    """Lengths of arms along directions of this information, ``[direction]``."""
     rise = min(max(ABOVE_JUMPS * jump, RISE * loss), loss)
     return np.clip(np.sqrt(rise / np.maximum(information, 1e-12)), SHORTEST, LONGEST)

@@ -57,7 +57,8 @@ def open_storage(storage: str | os.PathLike[str] | None) -> BaseStorage:
 
 
 class _FileLock(BaseJournalFileLock):
-    """A lock that the kernel gives back when its holder dies; Optuna's own are files that outlive a killed process."""
+    """A lock that the kernel releases when its holder dies; Optuna's own locks are files that outlive a killed
+    process."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -70,7 +71,7 @@ class _FileLock(BaseJournalFileLock):
         return True
 
     def release(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         os.close(self._descriptor)
 
 
@@ -87,7 +88,7 @@ def _open_database(url: str) -> BaseStorage:
 def _cut_torn_record(path: Path) -> None:
     """Remove an unfinished last line, as a full disk or a power cut leaves it: the next record would be lost with it.
 
-    A file that does not begin as a journal does is left alone.
+    A file that does not begin like a journal is not changed.
     """
     with open(path, "a+b") as file:
         file.seek(0)

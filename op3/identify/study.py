@@ -1,9 +1,9 @@
 """The study engine: ask a population, evaluate it, store it, until the study has its trials.
 
-A trial is written to the storage once, when it is finished. Nothing unfinished is ever stored, so a
-killed process leaves nothing to repair: its population is asked again by whoever goes on. The sampler
-works on a copy of the study in memory, which also spares it one storage access per parameter. What
-the storage holds at any moment is a valid Optuna study for `optuna.visualization` and for other tools.
+A trial is written to the storage once, when it is finished. Nothing unfinished is ever stored, so a killed process
+leaves nothing to repair: whichever process continues requests its population again. The sampler works on a copy of the
+study in memory, which also avoids one storage access per parameter. The storage is at any moment a valid Optuna study
+for `optuna.visualization` and other tools.
 
 Independent of Hydra; `op3.identify.sweeper` connects the two.
 """
@@ -49,12 +49,12 @@ _SCRATCH = re.compile(r"tpe:relative_params")
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """What the evaluation of one trial gave.
+    """Result of the evaluation of one trial.
 
     Attributes:
         values: the objectives, one per direction; None or a number that is not finite means that it failed.
         attributes: anything else worth keeping with the trial, as JSON data.
-        error: what went wrong, if the evaluation raised.
+        error: message, if the evaluation raised.
     """
 
     values: tuple[float, ...] | None
@@ -72,7 +72,7 @@ def _refused(field: str, wanted: str, given: Any) -> StudyError:
 
 @settings("hydra.sweeper", _refused)
 class StudySettings:
-    """What a study is of, and how it is run.
+    """Definition and settings of a study.
 
     Attributes:
         search_space: the parameters and their ranges, see `op3.identify.search_space`.
@@ -102,15 +102,15 @@ class StudySettings:
 
     @property
     def asked(self) -> int:
-        """Trials that are asked at once."""
+        """Number of trials requested at once."""
         return self.population * self.parallel_populations
 
     def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-        """Cut what was asked into the populations of single jobs."""
+        """Cut requested trials into the populations of single jobs."""
         return [population[i : i + self.population] for i in range(0, len(population), self.population)]
 
     def samplers(self) -> SamplerFactory:
-        """The sampler of each population; a StudyError where it cannot be used."""
+        """The sampler of each population; raises a StudyError if it cannot be used."""
         return make_sampler_factory(
             self.sampler, population=self.asked, directions=len(self.directions), nominal=self.nominal
         )
@@ -244,14 +244,14 @@ class _Session:
         return {"best": f"{self._mirror.best_value:.6g}"} if single else {}
 
     def enqueue(self, given: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> None:
-        """Ask for these trials first, each a mark and parameters, but for those that are in the study already."""
+        """Request these trials first, each with a mark and parameters, except those already in the study."""
         known = [trial.user_attrs for trial in self._mirror.get_trials(deepcopy=False, states=FINISHED)]
         for mark, values in given:
             if not any(attributes.get(key) == number for attributes in known for key, number in mark.items()):
                 self._mirror.enqueue_trial(values, user_attrs=mark)
 
     def ask(self, size: int) -> list[Trial]:
-        """Ask for a population."""
+        """Request a population."""
         # workers that have seen the same trials must not propose the same points
         entropy = [self.study.user_attrs["seed"], self.finished, *([self._worker] if self._worker else ())]
         self._mirror.sampler = self._factory(int(np.random.SeedSequence(entropy).generate_state(1)[0] >> 1))
@@ -266,7 +266,8 @@ class _Session:
         return trials
 
     def tell(self, trials: Sequence[Trial], outcomes: Sequence[TrialOutcome]) -> None:
-        """Finish a population, in memory and in the storage, and take over what others have finished meanwhile."""
+        """Finish a population, in memory and in the storage, and read the trials that others have finished
+        meanwhile."""
         for trial, outcome in zip(trials, outcomes, strict=True):
             values = self._judge(trial, outcome)
             self._mirror.tell(trial, values, TrialState.FAIL if values is None else TrialState.COMPLETE)
@@ -282,7 +283,7 @@ class _Session:
             self.study.add_trial(_to_store(trial, keep_state=trial is state_holder))
 
     def _pull(self) -> list[FrozenTrial]:
-        """Take over the trials that others, or earlier runs, have finished; return them."""
+        """Read the trials that others, or earlier runs, have finished; return them."""
         stored = self.study.get_trials(deepcopy=False, states=FINISHED)
         new = [t for t in stored if t.number not in self._pulled and t.user_attrs.get("worker") != self._name]
         self._pulled.update(trial.number for trial in stored)
@@ -291,7 +292,7 @@ class _Session:
         return new
 
     def _judge(self, trial: Trial, outcome: TrialOutcome) -> Sequence[float] | None:
-        """Record what is to be known about a trial; return its values if it has succeeded."""
+        """Record the attributes of a trial; return its values if it has succeeded."""
         for key, value in outcome.attributes.items():
             trial.set_user_attr(key, _plain(key, value))
         if outcome.error is not None:
@@ -336,7 +337,7 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
 
 
 def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
-    """Drop what samplers only need while a trial runs.
+    """Delete attributes that samplers only need while a trial runs.
 
     CMA-ES writes its whole state to every trial of a population, 10 kB each, and reads it back from
     the last complete one alone.
@@ -366,7 +367,7 @@ def _plain(key: str, value: Any) -> Any:
 
 @contextmanager
 def _quiet_optuna() -> Iterator[None]:
-    """Keep Optuna from announcing each study that it opens, without changing what the user has set."""
+    """Suppress Optuna's message about each study that it opens, without changing the user's log level."""
     level = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(max(level, optuna.logging.WARNING))
     try:

@@ -23,7 +23,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         config: the composed config, whose values are the nominal parameters.
         sweeper: its node `hydra.sweeper`.
         folder: folder of the run or cell, for the default storage.
-        cell: overrides of the cell in an outer grid, which tell its study from its neighbours'.
+        cell: overrides of the cell in an outer grid, which distinguish its study from others.
     """
     if OmegaConf.select(sweeper, "_target_") != PopulationSweeperConf._target_:
         raise StudyError(
@@ -47,7 +47,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
 
 
 def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
-    """What is searched, by config key: the ranges of `params`, those of `each` once for every label.
+    """Searched ranges by config key: those of `params`, and those of `each` once for every label.
 
     Args:
         sweeper: the resolved node `hydra.sweeper`.

@@ -1,11 +1,11 @@
-"""A smooth stand-in for the residuals, which finds the region of the minimum with few simulations.
+"""A smooth surrogate of the residuals, which finds the region of the minimum with few simulations.
 
-Friction makes the loss rugged, and a search that follows its slope stops in the first hollow. Residuals are tamer than
-their squares: over much of the ranges they change almost linearly. So a Gaussian process (kriging) is laid through all
-residual vectors that were simulated, and the squares are taken of its prediction. One kernel serves all residuals: a
-linear part, as in Gauss-Newton, and a Matern part for what bends. A prediction is then a weighted sum of simulated
-residuals, and its expected square needs nothing but their products with each other, however long the logs are
-(composite Bayesian optimisation; Astudillo & Frazier, Bayesian Optimization of Composite Functions, ICML 2019).
+Friction gives the loss many local minima, at the first of which a gradient search stops. Residuals are smoother than
+their squares: over much of the ranges they change almost linearly. A Gaussian process (kriging) is therefore fitted to
+all simulated residual vectors, and its prediction is squared. One kernel serves all residuals: a linear part, as in
+Gauss-Newton, and a Matern part for the nonlinear rest. A prediction is then a weighted sum of simulated residuals, and
+its expected square needs only their scalar products, however long the logs are (composite Bayesian optimisation;
+Astudillo & Frazier, Bayesian Optimization of Composite Functions, ICML 2019).
 """
 
 from collections.abc import Sequence
@@ -69,13 +69,13 @@ def explore(
 ) -> Exploration:
     """Search with a surrogate of the residuals: each round simulates a batch of points that it proposes.
 
-    A third of a batch minimises the expected loss, a third each takes more risk. Where the proposals coincide, the rest
-    is drawn from what the surrogate holds possible at twice the best loss, mostly along what is known least.
+    A third of a batch minimises the expected loss, a third each takes more risk. If proposals coincide, the rest is
+    drawn from the surrogate's level set at twice the best loss, mostly along the least known directions.
 
     Args:
         points: to begin with, spread over the box, ``[point, parameter]``.
         residual: of these, ``[point, residual]``.
-        rounds: at most so many.
+        rounds: largest number of rounds.
         failed_loss: a loss that only a diverged simulation has.
 
     Raises:
@@ -104,7 +104,7 @@ def explore(
 
 
 def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -> NDArray[np.intp]:
-    """Points that a surrogate learns from, best first: far from the data other laws hold (falls, stops)."""
+    """Points that a surrogate learns from, best first: far from the data the behaviour is different (falls, stops)."""
     order = np.argsort(losses, kind="stable")
     order = order[: min(MOST_POINTS, max(2 * count + 4, len(losses) - 2 * first // 5))]
     limit = max(30 * losses[order[0]], losses[order[min(2 * count, len(order) - 1)]])
@@ -112,7 +112,7 @@ def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -
 
 
 class Surrogate:
-    """Gaussian process through residual vectors, centred on the best of them.
+    """Gaussian process of residual vectors, centred on the best of them.
 
     Args:
         points: in the unit box, best first, ``[point, parameter]``.
@@ -141,7 +141,7 @@ class Surrogate:
 
     @property
     def inverse_lengths(self) -> Tensor:
-        """Of the kernel, by parameter, per range."""
+        """Inverse lengths of the kernel, by parameter, per range."""
         return self.scales[:-2].clamp(-4, 4).exp()
 
     @property
@@ -218,7 +218,7 @@ class Surrogate:
     def slope(self, unit: Tensor) -> tuple[Array, Array]:
         """The mean residual's Jacobian at a point, times the residual ``[parameter]`` and times itself.
 
-        These are gradient and hessian of half its square, as Gauss and Newton take it.
+        These are the gradient and the Gauss-Newton hessian of half its square.
         """
         step = 1e-3 * torch.eye(len(unit), dtype=torch.float64)
         change = (self.weights(unit + step) - self.weights(unit - step)) / 2e-3
@@ -231,7 +231,7 @@ def _stuck(history: Sequence[float]) -> bool:
 
 
 def _propose(surrogate: Surrogate, batch: int, rng: np.random.Generator) -> Array:
-    """Minima of the surrogate from many starts, at each level of caution; then draws from what is possible."""
+    """Minima of the surrogate from many starting points, at each level of caution; then draws from its level set."""
     known = surrogate.points.numpy()
     size = known.shape[1]
     near = known[rng.integers(0, min(10, len(known)), 40)] + 0.15 * rng.standard_normal((40, size))

@@ -1,9 +1,9 @@
 """The Hydra sweeper `hydra/sweeper: population`: a study evaluated in populations, one Hydra job each.
 
 A command hands its work to `sweep_or_report`. Run without `-m`, the
-study runs in this process, in Hydra's run folder. With `-m`, the sweeper asks a population, writes it to a file, and
-launches one job through the configured launcher with `population=<file>`; in that job `sweep_or_report` evaluates the
-file and returns the results. Either way the study asks the same trials.
+study runs in this process, in Hydra's run folder. With `-m`, the sweeper requests a population, writes it to a file,
+and launches one job through the configured launcher with `population=<file>`; in that job `sweep_or_report` evaluates
+the file and returns the results. Both ways request the same trials.
 
 Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid: one study, and one folder, for each
 cell. The search space comes from `hydra.sweeper.params` alone, read again in every cell, so a config group may bring
@@ -51,7 +51,7 @@ POPULATION_FILE = "population.json"
 STARTS_FILE = "starts.json"
 
 Propose = Callable[[int], Sequence[Mapping[str, Any]]]
-"""Proposes as many parameter sets, by config key, as asked for."""
+"""Proposes a number of parameter sets, by config key."""
 
 
 def sweep_or_report(
@@ -108,7 +108,7 @@ def _propose(propose: Propose | None, count: int) -> list[dict[str, Any]]:
 def _kept_starts(
     folder: Path, settings: StudySettings, make: Callable[[], Sequence[Mapping[str, Any]]]
 ) -> Sequence[Mapping[str, Any]]:
-    """The starts in a study's folder, made where there are none."""
+    """The starts in a study's folder, created if there are none."""
     if settings.starts == 0:
         return ()
     path = folder / STARTS_FILE
@@ -169,7 +169,7 @@ class PopulationSweep:
         folder: Path,
         settings: StudySettings,
     ) -> list[TrialOutcome]:
-        """Evaluate what was asked: one job per population, all launched together."""
+        """Evaluate the requested populations, one job each, all launched together."""
         chunks = settings.split(population)
         first, jobs = _write_jobs(chunks, overrides, folder)
         try:
@@ -181,7 +181,7 @@ class PopulationSweep:
         return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
 
     def _begin(self, overrides: list[str], folder: Path, settings: StudySettings) -> dict[str, Any]:
-        """Ask the experiment, in a job of its own, for the study's identity, and for starts where there are none."""
+        """Request the study's identity, and starts if there are none, from the experiment in a separate job."""
         wanted = 0 if (folder / STARTS_FILE).exists() else settings.starts
         first, jobs = _write_jobs([{"starts": wanted}], overrides, folder)
         job = self._launcher.launch(jobs, initial_job_idx=first)[0]
@@ -192,7 +192,7 @@ class PopulationSweep:
         return job.return_value
 
     def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
-        """Run the experiment once more, in the cell's own folder, where it finds its study finished."""
+        """Run the experiment once more in the cell's folder, where its study is finished."""
         place = _place_overrides(folder.parent, folder.name)
         finished = [
             f"hydra.sweeper.storage={_quoted(str(settings.storage))}",
@@ -237,7 +237,7 @@ def _reserve_folders(parent: Path, count: int) -> int:
 
 
 def _write_jobs(contents: Sequence[Any], overrides: list[str], folder: Path) -> tuple[int, list[list[str]]]:
-    """Write what jobs evaluate; return the number of the first and the overrides of each."""
+    """Write the populations of jobs; return the number of the first and the overrides of each."""
     first = _reserve_folders(folder / "populations", len(contents))
     jobs = []
     for number, content in enumerate(contents, start=first):

@@ -1,4 +1,4 @@
-"""Hydra's config of the sweeper, in a module of its own so that a config is composed before a study is imported."""
+"""Hydra's config of the sweeper, in a separate module so that a config is composed before a study is imported."""
 
 from dataclasses import dataclass, field
 from typing import Any

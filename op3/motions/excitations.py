@@ -1,7 +1,7 @@
 """Excitations: motions of any robot that make the parameters of servos and body visible in a log.
 
 Every one starts and ends at rest in the pose it goes around, keeps its own speed limit, and is sampled at the rate of
-the robot's PD loop. Beside its own arguments it takes
+the robot's PD loop. In addition to its own arguments it takes
 
 - `joints`: how far each moves [rad], the sign is its direction; None: every controlled joint as far as limits, speeds
   and clearances of the robot allow,
@@ -138,7 +138,7 @@ def triangle(
 def multisine(
     joints: Amplitudes, low: float = 0.2, high: float = 3.0, lines: int = 6, duration: float = 10.0
 ) -> tuple[Array, Array]:
-    """All joints at once, each a sum of sines at frequencies of its own, so that their effects can be told apart.
+    """All joints at once, each a sum of sines at its own frequencies, so that their effects can be distinguished.
 
     Frequencies are whole multiples of 1 / duration, dealt out in turn from a logarithmic grid; phases are Schroeder's
     (IEEE Transactions on Information Theory 16, 1970), which keep the peak low. Amplitudes fall with frequency, so
@@ -184,7 +184,7 @@ def staircase(
 
 
 def amplitudes(robot: Robot, share: float = SHARES[0]) -> dict[str, float]:
-    """How far each controlled joint may move around home [rad]: a share of the way to its nearer limit."""
+    """Allowed excursion of each controlled joint around home [rad]: a share of the way to its nearer limit."""
     columns = robot.indices(robot.controlled)
     low, high = robot.limits[columns].T
     reach = share * np.minimum(robot.home[columns] - low, high - robot.home[columns])

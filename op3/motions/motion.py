@@ -1,4 +1,4 @@
-"""Motions as arrays: what the joints are asked to do over time."""
+"""Motions as arrays: targets of the joints over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

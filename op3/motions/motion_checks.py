@@ -11,11 +11,11 @@ from op3.robot.self_collision import CLEARANCE, SelfCollision
 
 
 def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
-    """What is unsafe about a motion, one sentence each; empty where nothing is.
+    """Reasons why a motion is unsafe, one sentence each; empty if it is safe.
 
     Args:
         motion: of a robot, which is at home in the joints that it does not name.
-        mount: where it is to be played, "floor" or "stand"; None: anywhere it is made for.
+        mount: "floor" or "stand"; None: any mount of the motion.
     """
     if mount is not None and mount not in motion.mounts:
         places = " or ".join(f"mount={place}" for place in motion.mounts)
@@ -39,7 +39,7 @@ def check_motion(motion: Motion, mount: str | None = None) -> None:
 
 
 def check_targets(name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray) -> None:
-    """Refuse what a robot must not be told, see `outside_limits`: servos in current mode enforce no limit."""
+    """Refuse targets outside the limits, see `outside_limits`: servos in current mode enforce no limit."""
     if faults := outside_limits(name, joints, limits, time, position):
         raise ValueError(faults[0])
 

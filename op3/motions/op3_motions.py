@@ -1,4 +1,4 @@
-"""What is the OP3's by nature: the squat of its legs, weight shifts, soft knees, and the walk that it comes with."""
+"""Motions for the OP3 only: the squat, weight shifts, soft knees, and the walk that is shipped with it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -106,7 +106,7 @@ def push_down(
 def sway(
     amplitude: float = 0.08, frequency: float = 0.4, duration: float = 7.5, around: str = "stand", name: str = "sway"
 ) -> Motion:
-    """From foot to foot: hip and ankle rolls move alike, so the soles stay level while the load wanders.
+    """From foot to foot: hip and ankle rolls move equally, so the soles stay level while the load shifts.
 
     Args:
         amplitude: of the four roll joints [rad].

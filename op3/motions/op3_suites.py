@@ -1,10 +1,10 @@
-"""What one leg, or the whole OP3, is asked to do on the stand so that its servos show everything they hide.
+"""Suites of motions of one leg, or the whole OP3, on the stand, for a diagnosis of its servos.
 
 The suite takes about 100 s: slow triangles, multisines at high and low gain, squats, steps that exhaust the supply
 voltage, holds at two loads, two orientations of the stand, cold and warm servos, and commands that are repeated.
-`leg_walking` is the opposite, a leg that only walks, with which many effects cannot be told apart. The suites of the
-whole robot give the left leg another one, mirrored, and move arms and head beside them; whether limbs would meet is not
-looked at, so they are for simulated robots.
+`leg_walking` is a poor excitation, a leg that only walks, with which many effects cannot be distinguished. The suites
+of the whole robot give the left leg another one, mirrored, and move arms and head beside them; collisions of limbs are
+not checked, so these suites are only for simulated robots.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from op3.motions.motion import Motion
 from op3.motions.op3_motions import op3_robot, squat_position
 
 JOINTS_PER_LEG, KNEE = 6, 3
-"""How many joints a leg has, and the place of the knee among them."""
+"""Number of joints of a leg, and the index of the knee among them."""
 
 RUN_DURATION = 4.0
 """Length of one run [s]."""
@@ -30,13 +30,13 @@ UPRIGHT = (0.0, 0.0)
 """Roll and pitch of the stand [rad]."""
 
 TILTED = (0.5, 0.8)
-"""The other orientation of the stand [rad]: gravity pulls on every joint in another way, springs do not."""
+"""The other orientation of the stand [rad]: it changes the torques of gravity, but not those of springs."""
 
 SLOW_RATES = (0.02, 0.05, 0.1, 0.2, 0.3, 0.15)
 """Speeds of the slow triangles [rad/s]; each joint meets several of them."""
 
 OTHER_LEG = 500_000
-"""What is added to the seed for the left leg."""
+"""Offset of the left leg's seed."""
 
 Array = NDArray[np.float64]
 

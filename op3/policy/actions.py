@@ -18,7 +18,7 @@ D_GAIN = 0.1
 """D gain [A s/rad] of every joint (paper Sec. action space)."""
 
 SPAN = 0.6
-"""How far a target may lie from the stand pose [rad]; the paper gives no number.
+"""Largest distance of a target from the stand pose [rad]; the paper gives no number.
 
 It lets a leg compensate 10 degrees of tilt at hip and ankle and shorten by half of its travel, and keeps every
 controlled joint inside its soft limits, so that action 0 is the stand pose.

@@ -21,7 +21,7 @@ FORMAT = "op3-card/1"
 
 LARGEST_SELF_CONTACT = 0.02
 """Share of steps in which a policy may touch itself to be run on a robot [-]: one misstep of 0.2 s in ten seconds of
-walking. A gait that leans on its other leg touches in every step.
+walking. A gait in which one leg leans on the other touches in every step.
 """
 
 

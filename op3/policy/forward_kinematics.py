@@ -49,7 +49,8 @@ class Chains:
         self._points = torch.as_tensor((points - place) @ turn - anchor[-1][:, None])
 
     def position(self, joint_position: Tensor) -> Tensor:
-        """Of the first chain's first point relative to the base, ``[..., xyz]`` in m; angles as of `key_points`."""
+        """Position of the first chain's first point relative to the base, ``[..., xyz]`` in m; angles as for
+        `key_points`."""
         return self.key_points(joint_position, torch.zeros_like(joint_position))[0][..., 0, :]
 
     def key_points(self, joint_position: Tensor, joint_velocity: Tensor) -> tuple[Tensor, Tensor]:

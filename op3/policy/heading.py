@@ -27,11 +27,11 @@ class HeadingReference:
         self.heading = torch.zeros(count, dtype=torch.float64)
 
     def begin(self, rows: Tensor, yaw: Tensor) -> None:
-        """Robots of a mask ``[robot]`` begin at their measured yaw, ``[robot]`` in rad."""
+        """Begin the episodes of a mask of robots ``[robot]`` at their measured yaw, ``[robot]`` in rad."""
         self.heading = torch.where(rows, yaw, self.heading)
 
     def step(self, yaw: Tensor, rate: Tensor, period: float) -> Tensor:
-        """A policy step has passed.
+        """Advance by one policy step.
 
         Args:
             yaw: measured, ``[robot]`` in rad.

@@ -93,7 +93,7 @@ class Term:
         return None if method is None else partial(self._checked, method)
 
     def at(self, time: Tensor) -> Tensor:
-        """What a command asks for at a time of each episode [s], ``[env, number]``."""
+        """The value of a command at a time of each episode [s], ``[env, number]``."""
         if (method := self.hook("at")) is None:
             name = getattr(self.target, "__name__", type(self.target).__name__)
             raise ValueError(f"{self._where} must be a class with a method at(time), got {name}")

@@ -1,7 +1,7 @@
 """Free-run simulation of whole logs: closed-loop predictions from their first rows and commands alone.
 
-A velocity that is measured late is compared with the simulation as late as it is, of which a model's own filter is a
-part: the chain of measurement explains that much, and a gain in angle is not thrown away for it.
+Simulated velocities get the delay of the measured ones, of which a model's filter is a part, so that the delay of the
+measurement does not count as an error of the model.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ SETTLE = 0.2
 
 
 def settle_time(logs: Sequence[Rollout]) -> float:
-    """How long the first command of logs is held before their replay [s]: not at all where nothing holds the joints."""
+    """Time for which the first command of logs is held before their replay [s]; zero if nothing holds the joints."""
     held = [bool((log.array("command/torque_enable")[0] > 0.5).all()) for log in logs if "command/torque_enable" in log]
     return SETTLE if all(held) else 0.0
 
@@ -34,7 +34,7 @@ class FreeRuns:
     """Closed-loop predictions of whole logs, from their first rows and commands alone.
 
     Args:
-        logs: that are predicted.
+        logs: logs to predict.
     """
 
     def __init__(self, logs: Sequence[Rollout]):
@@ -47,7 +47,7 @@ class FreeRuns:
             self._lag = velocity_sensing([smoothed(log) for log in logs]).lag
 
     def of(self, model: RobotModel) -> list[Prediction]:
-        """Predictions of one model, velocities as late as the logs' are."""
+        """Predictions of one model, with velocities delayed like those of the logs."""
         predictions, joints = self._replay.run(model), self.logs[0].joints
         if ("joint", "velocity") not in self.channels:
             return predictions
@@ -56,7 +56,7 @@ class FreeRuns:
         return [self._late(one, np.maximum(self._lag - own, 0.0)) for one in predictions]
 
     def _late(self, prediction: Prediction, lags: np.ndarray) -> Prediction:
-        """A prediction with velocities later by some times, ``[joint]``."""
+        """A prediction with velocities delayed by times ``[joint]`` [s]."""
         key, time = ("joint", "velocity"), prediction.log.array("time")[:, 0]
         values = prediction.channels[key].clone()
         for joint, lag in zip(self.logs[0].joints, lags, strict=True):

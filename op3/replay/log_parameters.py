@@ -15,7 +15,7 @@ def parameters_per_log(
 ) -> dict[str, Tensor]:
     """Parameters of simulation ``c * len(logs) + l``, which is candidate c on log l.
 
-    A value under a condition, of the model or given, goes before a shared one where the condition holds.
+    A value under a condition, of the model or given, replaces the shared one if the condition holds.
 
     Args:
         model: gives conditional values that are not given.

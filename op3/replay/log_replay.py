@@ -26,7 +26,7 @@ SAME_RATE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What the simulation says a log would contain.
+    """Simulated channels of a log.
 
     Attributes:
         log: the log that was replayed.
@@ -45,11 +45,11 @@ class Replay:
     """Replays a fixed set of logs for any model and any parameters.
 
     The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and
-    then receives each command at the control tick at which it was in force. Nothing measured after the first
-    row reaches the simulation, except the bus voltage where the log has it. A log from the stand may have some limbs
-    only, whole ones; the others are left out. A robot's PD ticks at the rate of the log's rows, or at the
-    ``control_rate`` [Hz] of its metadata's ``extra``. Servos that close the loop themselves do so with the gain of the
-    log or of its metadata, else with that of their make.
+    then receives each command at the control tick at which it was in force. Of the measurements after the first row,
+    the simulation receives only the bus voltage, if the log has it. A log from the stand may have only some complete
+    limbs; the others are left out. A robot's PD ticks at the rate of the log's rows, or at the ``control_rate`` [Hz] of
+    its metadata's ``extra``. Servos that close the loop themselves do so with the gain of the log or of its metadata,
+    else with that of their make.
 
     Args:
         logs: what to replay; mounts may differ.
@@ -96,7 +96,7 @@ class Replay:
             model: effects, and values for parameters that are not given.
             parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]``.
             progress: called with the share done, 0 to 1.
-            push: torque on the joints beside the servos' [N m], of each log ``[row, joint]``; of a robot only.
+            push: torque on the joints in addition to the servos' [N m], of each log ``[row, joint]``; of a robot only.
 
         Returns:
             One prediction per log, in the order of the logs.
@@ -138,7 +138,7 @@ class _Group:
     def _commands(self) -> dict[str, Tensor]:
         """Commands in force at every tick, ``[tick, log, joint]``; constant ones as ``[1, log, joint]``.
 
-        What a log does not have is NaN here: the model's own value takes its place, or the replay is refused.
+        A command that a log does not have is NaN here: the model's value replaces it, or the replay is refused.
         """
         at = np.arange(self.ticks) * self.period
         commands = {}
@@ -158,7 +158,7 @@ class _Group:
         return commands
 
     def _complete(self, model: RobotModel) -> dict[str, Tensor]:
-        """The commands with the model's values where logs have none.
+        """The commands, with the model's values for missing ones.
 
         Raises:
             LogError: if a log lacks a command that the model's servos need.
@@ -235,7 +235,7 @@ class _Group:
 
 
 class _Channels(Mapping[tuple[str, str], Tensor]):
-    """Channels at a log's own times, each interpolated when it is first asked for: most callers want few of them."""
+    """Channels at a log's own times, each interpolated at its first use, since most callers need few of them."""
 
     def __init__(self, keys, samples_of, rows: slice, recorded: np.ndarray, time: np.ndarray):
         self._keys, self._samples_of, self._rows = tuple(keys), samples_of, rows
@@ -257,7 +257,7 @@ class _Channels(Mapping[tuple[str, str], Tensor]):
 
 
 def _mount(log: Rollout) -> tuple[str, float, float]:
-    """What holds the robot, and the roll and pitch of a stand, to a hundredth of a radian."""
+    """The mount of the robot, and the roll and pitch of a stand, to a hundredth of a radian."""
     tilt = stand_tilt(log) if log.metadata.mount == "stand" else None
     return log.metadata.mount, *(tilt or (0.0, 0.0))
 
@@ -265,7 +265,8 @@ def _mount(log: Rollout) -> tuple[str, float, float]:
 def _control_period(log: Rollout) -> float:
     """Time between commands to a robot [s], by the metadata; the usual one if it is nearly that, or of a bench.
 
-    Logs are simulated together where it is the same, to a hundredth of a millisecond: a command counts by its stamp.
+    Logs are simulated together if it is equal to a hundredth of a millisecond: commands are applied at their time
+    stamps.
     """
     period = 1.0 / float(log.metadata.extra.get("control_rate", log.metadata.rate))
     usual = abs(period - CONTROL_PERIOD) < SAME_RATE * period
@@ -273,7 +274,7 @@ def _control_period(log: Rollout) -> float:
 
 
 def _fallback(command: str, log: Rollout) -> ArrayLike:
-    """What a command was where the log has no channel for it; NaN where only the model can tell."""
+    """Value of a command without a channel in the log; NaN if only the model defines it."""
     if command == "torque_enable":
         return 1.0
     if command == "bus_voltage" and log.metadata.battery is not None:
@@ -282,7 +283,8 @@ def _fallback(command: str, log: Rollout) -> ArrayLike:
 
 
 def gain_of(log: Rollout) -> ArrayLike:
-    """Of the servos' own position loop: the log's, else [joint] of their makes; NaN where something else closes it."""
+    """Gain of the servos' position loop: the log's, else that of their makes, [joint]; NaN if the loop is outside of
+    the servo."""
     laws = [make.position_law for make in map(log.robot.servo, log.joints) if make.loop == "firmware"]
     return log.metadata.firmware_gain or [law.gain.si for law in laws if law] or np.nan
 

@@ -1,4 +1,4 @@
-"""Logs that a planned excitation would give, by the model itself: what it can tell, before robot time is spent."""
+"""Logs of a planned excitation, simulated with the model, to evaluate it before robot time is spent."""
 
 import datetime
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ STILL = 0.02
 """A joint that moves less than this counts as not moving [rad]."""
 
 PAUSE = 6.0
-"""Between two runs [s]."""
+"""Time between two runs [s]."""
 
 BEGIN = datetime.datetime(2026, 1, 1)
-"""When the first of the planned runs begins; only differences count."""
+"""Start of the first planned run; only differences of times matter."""
 
 SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 """Channels that are taken from the simulation."""
@@ -95,7 +95,7 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
 
 
 def _command(run: Excitation, number: int, begin: datetime.datetime) -> Rollout:
-    """A log that holds the commands of a run, and a leg that stands still where it begins."""
+    """A log with the commands of a run, and a leg at rest in its first pose."""
     target = run.motion.position
     ones = np.ones_like(target)
     arrays: dict[Any, np.ndarray] = {

@@ -1,4 +1,4 @@
-"""What stands behind a log: the scene its mount names, ready to be simulated many times at once."""
+"""The scene of a log, by its mount, ready for many simulations at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Setup:
             robot: that made the logs, or its file.
 
         Raises:
-            ValueError: for a ground that commands alone do not tell, such as a board that moved.
+            ValueError: for a ground that the log does not determine, such as a moving board.
         """
         if mount in ("board", "board_weight", "terrain"):
             raise ValueError(f"a log of the mount {mount!r} cannot be replayed: its ground is not in the log")

@@ -13,7 +13,7 @@ from op3.servo import RobotModel
 from op3.sim import model_for, model_hash
 
 SETTLE = 1.5
-"""How long the first pose is held before the log starts [s]."""
+"""Time for which the first pose is held before the log starts [s]."""
 
 FALL = float(np.deg2rad(45))
 """A trunk that rolls or pitches further has fallen [rad]."""
@@ -25,12 +25,12 @@ def simulate_motion(
     mount: str | None = None,
     gains: Mapping[str, ArrayLike] | None = None,
 ) -> Rollout:
-    """Play a motion with its own gains, or with those of the firmware where that closes the loop.
+    """Play a motion with its own gains, or with those of the firmware if that closes the loop.
 
     Args:
         motion: with one row per tick of the robot's PD loop; joints that it does not name stay at home.
-        mount: ``floor`` or ``stand``; by default the first that the motion is made for.
-        gains: commands that take the place of the motion's, such as ``p_gain``, broadcastable to ``[row, joint]``.
+        mount: ``floor`` or ``stand``; by default the motion's first one.
+        gains: commands that replace the motion's, such as ``p_gain``, broadcastable to ``[row, joint]``.
 
     Returns:
         A log at the motion's times whose metadata say whether the robot fell.
@@ -75,7 +75,7 @@ def _gains(motion: Motion, robot: Robot) -> dict[str, ArrayLike]:
 
 
 class ModelRobot:
-    """A robot whose truth is a model: it plays motions as a stand-in does, but nothing about it is hidden.
+    """A robot simulated with a known model: it plays motions as a stand-in does, without hidden parameters.
 
     Sensors read in whole units of the servos' registers, with noise of one unit.
 
@@ -92,7 +92,8 @@ class ModelRobot:
         self._mount, self._seed, self._played = mount, seed, 0
 
     def play(self, motion: Motion, p_gain: ArrayLike, d_gain: ArrayLike, *, recording: str | None = None) -> Rollout:
-        """Play a motion and record it; gains as `op3.stand_in.StandIn.play` takes them, unless the firmware's count."""
+        """Play a motion and record it; gains as for `op3.stand_in.StandIn.play`, ignored if the firmware closes the
+        loop."""
         firmware = self.robot.servos[0].loop == "firmware"
         log = simulate_motion(
             self.model, motion, self._mount, gains={} if firmware else {"p_gain": p_gain, "d_gain": d_gain}
@@ -114,6 +115,6 @@ class ModelRobot:
         self._played += 1
 
     def _read(self, name: str, values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """What the registers say."""
+        """Readings of the registers."""
         units = [make.position_unit if name == "position" else make.unit(name) for make in self.robot.servos]
         return np.round(values / units + rng.standard_normal(values.shape)) * units

@@ -45,7 +45,7 @@ PREROLL = 4
 """Ticks before a window in which the joints are guided along the measurement."""
 
 CHANNELS = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
-"""What is compared."""
+"""Compared channels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +61,11 @@ class SmoothLog:
         acceleration: smoothed [rad/s2].
         readings: raw channels by key, at the ticks.
         control: position and velocity as the controller read them, row by row [rad], [rad/s].
-        rough: how far the readings are from the smoothed state, in standard deviations, ``[tick]``.
+        rough: distance of the readings from the smoothed state, in standard deviations, ``[tick]``.
         inputs: by signal name.
         tilt: roll and pitch of the stand [rad].
-        sway: angular acceleration of the trunk in its axes [rad/s2] and its rate [rad/s3], as the gyro tells,
-            ``[tick, 2, 3]``; None without one.
+        sway: angular acceleration of the trunk in its axes [rad/s2] and its rate [rad/s3], from the gyro, ``[tick, 2,
+            3]``; None without a gyro.
     """
 
     log: Rollout
@@ -84,11 +84,11 @@ class SmoothLog:
 
 @dataclass(frozen=True, eq=False)
 class VelocitySensing:
-    """What velocity readings are like, by joint.
+    """Delay and noise of velocity readings, by joint.
 
     Attributes:
-        lag: how late they are [s], ``[joint]``.
-        noise: their standard deviation [rad/s], ``[joint]``, as far as smoothing heeds it.
+        lag: their delay [s], ``[joint]``.
+        noise: their standard deviation [rad/s], ``[joint]``, as assumed in smoothing.
     """
 
     lag: np.ndarray
@@ -101,7 +101,7 @@ def half_width(period: float) -> int:
 
 
 def period_of(log: Rollout) -> float:
-    """Time between rows [s]: what the metadata say where the rows bear it out, else what the stamps say."""
+    """Time between rows [s]: that of the metadata if the rows agree with it, else that of the time stamps."""
     time = log.array("time")[:, 0]
     # stamps may be rounded to milliseconds, which the mean does not feel, or rows be missing, which the median does not
     mean, median = float(time[-1] - time[0]) / max(1, len(time) - 1), float(np.median(np.diff(time)))
@@ -117,7 +117,7 @@ def kernels(
     Args:
         period: between readings [s].
         half: readings on each side.
-        lag: how late velocity readings are [s].
+        lag: delay of velocity readings [s].
         noise: of velocity readings [rad/s].
     """
     t = np.arange(-half, half + 1) * period
@@ -130,10 +130,10 @@ def kernels(
 
 
 def smooth_all(logs: Sequence[Rollout]) -> list[SmoothLog]:
-    """Smooth logs of one robot, with what they themselves say of its velocity readings.
+    """Smooth logs of one robot, with the delay and noise of velocity readings estimated from them.
 
-    Readings of the velocity are several times better than what positions tell of it, but late, by a filter in the servo
-    that nobody has measured; and a lag that is wrong by 2 ms is an error of 0.1 rad/s where a joint accelerates.
+    Velocity readings are several times more accurate than differences of positions, but delayed by an unknown filter of
+    the servo; an error of 2 ms in the delay is an error of 0.1 rad/s while a joint accelerates.
 
     Raises:
         LogError: as `smooth`.
@@ -147,12 +147,12 @@ def smooth_all(logs: Sequence[Rollout]) -> list[SmoothLog]:
 
 
 def velocity_sensing(logs: Sequence[SmoothLog]) -> VelocitySensing:
-    """How late and how noisy velocity readings are, from how far angles move between two of them.
+    """Delay and noise of velocity readings, from the change of the angle between them.
 
-    Where a joint accelerates steadily, readings that are late by d are lower than the mean velocity of a period by
-    ``a d``. Within a period it does not: a command takes effect somewhere in it. So neighbouring periods are given
-    their own shares, and d is the sum of the three. A joint that hardly accelerates tells none, and is taken as usual.
-    Noise is what third differences of the readings have where the joint accelerates least.
+    At constant acceleration a, readings with a delay d are lower than the mean velocity of a period by ``a d``. Within
+    a period the acceleration changes, when a command takes effect. Neighbouring periods are therefore given separate
+    shares, and d is the sum of the three. For a joint that hardly accelerates, the usual delay is assumed. The noise is
+    estimated from third differences of the readings at low acceleration.
     """
     period, joints = logs[0].period, logs[0].position.shape[1]
     lag, noise = np.full(joints, VELOCITY_LAG), np.full(joints, LEAST_VELOCITY_NOISE)
@@ -180,7 +180,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
 
     Args:
         log: with joint positions and commands.
-        sensing: what its velocity readings are like; None for what is usual.
+        sensing: delay and noise of its velocity readings; None: the usual ones.
         period: of the grid [s]; by default that of its rows.
 
     Raises:

@@ -1,7 +1,7 @@
-"""The supply between two readings of its voltage: what it is without any current, and how it falls with currents.
+"""The supply voltage between two readings: its value without current, and its fall with currents.
 
-Servos say what voltage they get once per control period, and it falls by more than half a volt as soon as a command
-reaches a few of them. Held from one reading to the next it is wrong for a whole period wherever it limits a current.
+Servos report their voltage once per control period, and it falls by more than half a volt as soon as a command reaches
+a few of them. A voltage held between readings would be wrong for a whole period in which it limits a current.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ TELLING = 0.2
 def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
     """Inner resistance of the supply [ohm], and its voltage without current, of every log ``[tick, joint]`` [V].
 
-    The resistance is 0, and voltages are those measured, where changes of the voltage are not those of the currents.
+    The resistance is 0, and voltages are those measured, if the currents do not explain the changes of the voltage.
 
     Args:
         logs: with bus voltage and currents, of one robot.
@@ -56,7 +56,7 @@ def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
 
 
 def _mean_around(values: np.ndarray, half: int) -> np.ndarray:
-    """Mean over so many rows on each side, fewer at the ends."""
+    """Mean over a number of rows on each side, fewer at the ends."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, 0)])
     rows = np.arange(len(values))
     first, last = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(values))

@@ -1,7 +1,7 @@
-"""Windows of logs: what a model predicts from the measured state and the commands of the log, less what was measured.
+"""Windows of logs: a model's prediction from the measured state and the commands of the log, minus the measurement.
 
 Windows start from the smoothed measured state and are driven by the commands of the log. The dynamics are computed once
-along the measured motion, with what other bodies, or an angle that was misread, would add.
+along the measured motion, with the contributions of changed bodies or encoder offsets.
 """
 
 import copy
@@ -36,7 +36,7 @@ FEWEST_TICKS = 4
 """Readings of a window: one in each of its pieces."""
 
 STEP = 0.001
-"""Longest step of a simulation that is not stretched [s]; a tick is a whole number of steps."""
+"""Longest unstretched simulation step [s]; a tick is a whole number of steps."""
 
 SEARCH = 0.192
 """Interval within which a window starts at the best known state [s], not in the middle of a jerk."""
@@ -52,9 +52,10 @@ class WindowResiduals:
 
     Args:
         logs: all of one mount that holds the base, with the same joints.
-        windows: how many.
+        windows: number of windows.
         length: of a window [s]; by default that of the mount.
-        closed: whether the computer's controller acts on the simulated readings; it sends what the log says otherwise.
+        closed: whether the computer's controller acts on the simulated readings; otherwise it sends the commands of the
+            log.
 
     Raises:
         LogError: if logs differ in joints or mount, or the base is free.
@@ -62,8 +63,8 @@ class WindowResiduals:
     Attributes:
         windows: log and tick at which each begins.
         measured: ``[window, tick, joint, channel]``.
-        known: what is compared, ``[joint, channel]``: recorded, and not set aside by the checks of a log; the rate of a
-            bench's angle is not a reading of its own.
+        known: which readings are compared, ``[joint, channel]``: recorded, and not excluded by the checks of a log; the
+            rate of a bench's angle is not a reading of its own.
         motion: of all windows' ticks one behind another, each with its lead.
     """
 
@@ -101,20 +102,20 @@ class WindowResiduals:
         self.measured = np.stack([self._readings(key) for key in CHANNELS], -1)
 
     def thinned(self, count: int) -> "WindowResiduals":
-        """Evenly chosen ones of these windows."""
+        """An even selection of these windows."""
         other = copy.copy(self)
         other._begin([self.windows[i] for i in np.linspace(0, len(self.windows) - 1, count).round().astype(int)])
         return other
 
     @property
     def lengths(self) -> list[float]:
-        """Of the arms of a bench [m]; none of a robot."""
+        """Lengths of the arms of a bench [m]; none for a robot."""
         told = [log.log.metadata for log in self.smooth_logs]
         return [float(one.length) for one in told if one.mount == "pendulum" and one.length]
 
     @property
     def mirror(self) -> dict[str, tuple[str, int]]:
-        """Partners of joints on the other side, where the robot's file names them, and the sign of angles there."""
+        """Partners of joints on the other side, if the robot's file names them, and the sign of their angles."""
         robot = self.smooth_logs[0].log.robot
         return robot.mirror if robot.partners else {}
 
@@ -173,16 +174,15 @@ class WindowResiduals:
         self.forget()
 
     def forget(self) -> None:
-        """Drop what was kept for further simulations: what edits of bodies add takes a megabyte for each joint."""
+        """Free cached data of simulations: the dynamics of edited bodies take a megabyte per joint."""
         self._edits: dict[tuple[str, int | None], TrajectoryDynamics | None] = {}
         self._changes: dict[tuple[str, int | None], TrajectoryDynamics] = {}
         self._simulations: dict[tuple[float, bool], WindowSimulation] = {}
         self._unchanged: dict[Base, TrajectoryDynamics] = {}
 
     def part(self, columns: Sequence[int] | np.ndarray) -> "WindowResiduals":
-        """The windows of some joints alone, those of a limb: with a held base limbs do not feel each other.
-
-        Where the bus falls with the currents, other joints draw what was measured.
+        """The windows of only some joints, those of a limb: with a held base limbs are not coupled. If the bus voltage
+        falls with the currents, other joints draw their measured currents.
         """
         at, whole, other = list(columns), self.motion, copy.copy(self)
         beside = np.abs(whole.current).sum(1) - np.abs(whole.current[:, at]).sum(1)
@@ -205,7 +205,7 @@ class WindowResiduals:
 
     @property
     def _held(self) -> list[tuple[Base, np.ndarray]]:
-        """What holds the joints, and the rows for which it does."""
+        """The bases that hold the joints, and the rows to which each applies."""
         return [(_base(log, self.joints), at) for log, at in self._mounts]
 
     def _dynamics(self) -> TrajectoryDynamics:
@@ -214,11 +214,11 @@ class WindowResiduals:
         return self._swaying(_merged(parts, len(q)))
 
     def _swaying(self, still: TrajectoryDynamics) -> TrajectoryDynamics:
-        """What is known along the motion on a stand that stands still, on one that sways as the gyro says."""
+        """Dynamics along the motion on a stand at rest, and on one that sways according to the gyro."""
         return replace(still, bias=still.bias + np.einsum("tjk,tk->tj", still.carried, self.sway[:, 0]))
 
     def _change(self, model: RobotModel, name: str, joint: int | None, amount: float) -> TrajectoryDynamics | None:
-        """Dynamics added per unit of a parameter that edits bodies; None where it changes nothing here."""
+        """Dynamics added per unit of a parameter that edits bodies; None if it has no effect here."""
         key = (name, joint)
         if key not in self._edits:
             bodies = [base.changed(model, name, joint, amount) for base, _ in self._held]
@@ -233,7 +233,7 @@ class WindowResiduals:
         return self._added([base.mj_model for base, _ in self._held], position, ZERO_STEP)
 
     def _added(self, bodies: Sequence[Any], position: np.ndarray, amount: float) -> TrajectoryDynamics:
-        """What other bodies, by base, or other angles add to a sound robot's mass and bias, per unit of an amount."""
+        """Contribution of changed bodies, by base, or changed angles to a sound robot's mass and bias, per unit."""
         parts = []
         for (base, at), edited in zip(self._held, bodies, strict=True):
             if base not in self._unchanged:
@@ -308,7 +308,7 @@ class WindowResiduals:
         return np.nan_to_num(whole, copy=False, nan=1e3, posinf=1e3, neginf=-1e3)
 
     def _as_sent(self, model: RobotModel) -> RobotModel:
-        """The model with commands rounded as the registers of the servos take them: the log tells what was computed."""
+        """The model with commands rounded to the servos' registers, because the log has the computed commands."""
         makes = self.smooth_logs[0].log.servos
         units = [make.counts.current.si for make in makes if make is not None and make.counts.current is not None]
         step = min(units, default=0.0)
@@ -324,14 +324,14 @@ class WindowResiduals:
         return [(dict(zip(fields, key, strict=True)), at) for key, at in mine.items()]
 
     def by_window(self, values: np.ndarray, end: bool = False) -> np.ndarray:
-        """What lies along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads; if
+        """Values along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads; if
         asked with the tick at which a window ends."""
         windows = values.reshape(len(self.windows), PREROLL + self.ticks + 1, *values.shape[1:])
         return windows[:, PREROLL : None if end else -1]
 
 
 def _held_by(parameters: Mapping[str, Tensor], told: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Parameters as they are in a set-up: those of a condition that holds take the place of what is shared."""
+    """Parameters in a set-up: those whose condition holds replace the shared ones."""
     split = {name: split_name(name) for name in parameters}
     shared = {name: value for name, value in parameters.items() if split[name][1] is None}
     holding = {name: base for name, (base, condition) in split.items() if condition and condition.holds(told)}
@@ -368,14 +368,14 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
 
 
 def _begins(logs: Sequence[SmoothLog]) -> dict[int, float]:
-    """How long after the first of the logs each began [s], by its `id`; all at once where one does not say."""
+    """Start of each log after the first one [s], by its `id`; zero for all if a log has no date."""
     dates = [log.log.metadata.date for log in logs]
     stamps = [0.0 if None in dates else datetime.fromisoformat(str(date)).timestamp() for date in dates]
     return {id(log): stamp - min(stamps) for log, stamp in zip(logs, stamps, strict=True)}
 
 
 def _base(log: SmoothLog, joints: tuple[str, ...]) -> Base:
-    """What holds and carries the joints of a log."""
+    """The base that holds the joints of a log."""
     told = log.log.metadata
     if told.mount == "pendulum":
         return PendulumBase(float(told.mass or 0.0), float(told.length or 0.0))
@@ -393,7 +393,7 @@ def _merged(parts: Sequence[tuple[np.ndarray, TrajectoryDynamics]], rows: int) -
 
 
 def _difference(one: TrajectoryDynamics, other: TrajectoryDynamics, amount: float) -> TrajectoryDynamics:
-    """What an edit adds per unit of its parameter; how it changes derivatives is left out."""
+    """Contribution of an edit per unit of its parameter, without changes of derivatives."""
     added = {k: (getattr(one, k) - getattr(other, k)) / amount for k in ("mass", "bias", "radial_force", "carried")}
     none = {k: np.broadcast_to(0.0, getattr(one, k).shape) for k in ("gradient", "damping")}
     return TrajectoryDynamics(**added, **none)

@@ -1,4 +1,4 @@
-"""One page for several runs of one experiment: what they found, by what they differ in."""
+"""One page for several runs of one experiment: results, by the settings in which they differ."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -79,7 +79,7 @@ def variants(runs: Sequence[ComparedRun]) -> dict[str, list[ComparedRun]]:
 
 
 def quantities(runs: Sequence[ComparedRun]) -> dict[str, str]:
-    """What is compared, with its column: what is known of these runs, else their first numbers."""
+    """Compared numbers with their columns: known ones of these runs, else the first ones."""
     has = dict.fromkeys(key for run in runs for key, value in run.numbers.items() if isinstance(value, int | float))
     known = {key: title for key, title in QUANTITIES.items() if key in has}
     return known if set(known) - {"wall_seconds"} else {key: words(key.replace(".", " ")) for key in list(has)[:MOST]}

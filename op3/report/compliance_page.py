@@ -102,7 +102,7 @@ def _gain_tables(known: Mapping[str, Gains]) -> dict[str, TableRows]:
     for row, joint in enumerate(gains.joints):
         stiff = [float(gains.by_situation[n][row, 0] * gains.stiffness[row]) for n in ("support", "swing")]
         rows.append([words(joint), *(span(values[row]) for values in gains.by_situation.values()), *stiff])
-    header = ["joint", "support", "swing", "100 ms after touchdown", "support by the clock", "swing by the clock"]
+    header = ["joint", "support", "swing", "100 ms after touchdown", "support by gait phase", "swing by gait phase"]
     columns = ["policy", "all", "support minus swing", "100 ms after touchdown minus swing"]
     softening = [[name, span(g.mean), span(g.softening), span(g.landing)] for name, g in known.items()]
     stiffness = ["stiffness in support [N m/rad]", "in swing"]
@@ -228,4 +228,4 @@ NUMBERS = {
     },
     "energy": lambda each: _energy_numbers(each.energy),
 }
-"""What ``result.yaml`` says of each policy, by kind."""
+"""Entries of ``result.yaml`` for each policy, by kind."""

@@ -257,7 +257,7 @@ def _motions(verdict: Verdict, split: LogSplit) -> TableRows:
 
 
 def _returns(returns: Mapping[str, Any]) -> TableRows:
-    """What a policy returns under the two models, and on the robot."""
+    """Returns of a policy under the two models, and on the robot."""
     rows = []
     for key, label in (("before", "baseline fit"), ("after", "returned model"), ("actual", "the robot")):
         if value := returns.get(key):

@@ -15,7 +15,7 @@ from op3.rollout import Rollout
 from op3.tasks.behaviour import GaitProfile
 
 QUANTITIES = (("joint", "position"), ("command", "p_gain"), ("joint", "current"))
-"""What is drawn of the ankles, where the log has it."""
+"""Channels of the ankles that are drawn if the log has them."""
 
 
 def gait_figure(profile: GaitProfile, joint: str) -> go.Figure:

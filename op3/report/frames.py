@@ -1,7 +1,7 @@
-"""Pictures of a robot's states, drawn in a process of their own.
+"""Pictures of a robot's states, drawn in a separate process.
 
-OpenGL drivers print, hang on to a display, and abort the process where one is missing: MuJoCo's renderer ends it at the
-second attempt without a screen. A run of hours is not to end with that.
+OpenGL drivers print, hang on to a display, and abort the process where one is missing: without a screen, MuJoCo's
+renderer ends it at the second attempt. This must not end a run of hours.
 """
 
 # Run as a script this file draws; so it imports nothing of this package.

@@ -1,4 +1,4 @@
-"""What logs tell about parameters: singular values, correlations, and sentences."""
+"""Identifiability of parameters: singular values, correlations, and sentences."""
 
 import numpy as np
 import plotly.graph_objects as go

@@ -67,7 +67,7 @@ def _scores(fit: Fit) -> list[FitScore]:
 
 
 def _numbers(fit: Fit, seconds: float) -> dict[str, Any]:
-    """What a fit is worth; None without held-out logs, and where a simulation diverged."""
+    """Error of a fit; None without held-out logs, or if a simulation diverged."""
     held = fit.heldout
     return {
         "loss.fit": finite(fit.fit.loss),

@@ -1,4 +1,4 @@
-"""A log while it is being recorded: stretch by stretch, with what a model makes of the same commands as the overlay."""
+"""A log while it is recorded, part by part, with a model's simulation of the same commands as an overlay."""
 
 import time
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ class Growing:
         self._whole: Rollout | None = None
 
     def now(self) -> Rollout | None:
-        """What there is of it; None before the first row."""
+        """The rows so far; None before the first row."""
         if self._whole is None and (self.folder / DATA_FOLDER).is_dir():
             log = Rollout.load(self.folder)
             self._whole = log if log.metadata.complete else None

@@ -1,4 +1,4 @@
-"""One HTML page: verdict first, then key numbers, figures, tables, and where it all comes from."""
+"""One HTML page: verdict first, then key numbers, figures, tables, and provenance."""
 
 import json
 import re
@@ -122,7 +122,7 @@ class Page:
         self._add("table", caption, columns=columns, rows=list(cells))
 
     def provenance(self, values: Mapping[str, Any]) -> None:
-        """Say at the foot where the page comes from; nested mappings become one line each."""
+        """Add the provenance at the foot of the page; nested mappings become one line each."""
         self._provenance |= {key.replace("_", " "): _line(scrub(value)) for key, value in values.items()}
 
     @property

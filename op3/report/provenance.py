@@ -1,4 +1,4 @@
-"""Where a result comes from: code, command, versions and machine."""
+"""Provenance of a result: code, command, versions and machine."""
 
 import os
 import platform

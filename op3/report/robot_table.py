@@ -1,4 +1,4 @@
-"""A robot as its file and its model say it: a table of joints, what of the model acts, and a picture."""
+"""A robot by its file and its model: a table of joints, the used parts of the model, and a picture."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ GRID, FRAME, SHADE, GROUND = "#eceef1", "#c6cad1", "#f1f3f6", "#ffffff"
 _DARK = ("#e9ebee", "#a0a7b4", "#2b2f37", "#4a505b", "#262a32", "#1c1f25",
          "#4aa3df", "#f39a3d", "#2fc59a", "#d07fc4", "#9ad7fa", "#d0b03a")  # fmt: skip
 DARK = dict(zip((INK, MUTED, GRID, FRAME, SHADE, GROUND, *PALETTE), _DARK, strict=True))
-"""What each colour becomes where the reader's screen is dark."""
+"""Colours for dark mode, by colour."""
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 

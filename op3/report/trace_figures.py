@@ -116,7 +116,7 @@ def bench_figures(
 
 
 def checks_table(logs: Iterable[Rollout]) -> TableRows:
-    """What the checks found in logs, a row per finding."""
+    """Findings of the checks of logs, a row each."""
     found = [{"log": run_name(log), **finding.row()} for log in logs for finding in merge_findings(log.findings)]
     rows = list(dict.fromkeys(tuple(one.values()) for one in found))
     return (list(found[0]), rows) if found else ([], [])

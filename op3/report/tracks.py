@@ -1,4 +1,4 @@
-"""Several robots in one scene: what was measured, and the same run as models say it would be."""
+"""Several robots in one scene: the measured run, and models' simulations of it."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -22,7 +22,7 @@ SHOWN = "shown"
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """One run of one robot, by who says how it went.
+    """One run of one robot, measured and simulated.
 
     Attributes:
         logs: by label; the first one is drawn solid, the others are its overlays.
@@ -38,7 +38,7 @@ class Tracks:
 
     @property
     def duration(self) -> float:
-        """Of the first [s]."""
+        """Duration of the first log [s]."""
         return next(iter(self.logs.values())).duration
 
     def states(self, rate: float) -> NDArray[np.float64]:
@@ -70,7 +70,7 @@ def scene_of(log: Rollout) -> Scene:
 
 
 def predicted(prediction: Prediction) -> Rollout:
-    """What the only candidate of a prediction says, as a log of its own."""
+    """The only candidate of a prediction as a separate log."""
     log = prediction.log
     channels: dict[Any, np.ndarray] = {key: values[0].numpy() for key, values in prediction.channels.items()}
     rows = min(len(values) for values in channels.values())
@@ -80,6 +80,6 @@ def predicted(prediction: Prediction) -> Rollout:
 
 
 def of_diagnosis(folder: Path) -> Tracks:
-    """What a diagnosis has kept to be looked at."""
+    """The run that a diagnosis has stored for viewing."""
     logs = {name: read_log(folder / SHOWN / name) for name in ("measured", "before", "after")}
     return Tracks(logs, scene_of(logs["measured"]))

@@ -1,4 +1,4 @@
-"""The story of a transfer from simulation to a robot, on one page."""
+"""The page of a transfer from simulation to a robot."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ def report_transfers(
     learning: Curves | None = None,
     following: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Publish the story of a transfer.
+    """Publish the page of a transfer.
 
     Args:
         transfers: first attempt first.
@@ -122,7 +122,7 @@ def _films(folder: Path, transfers: Sequence[Transfer]) -> list[tuple[str, str]]
 
 
 def _lesson(learned: Mapping[str, Any]) -> tuple[go.Figure, TableRows]:
-    """What a round's re-identification found."""
+    """Results of a round's re-identification."""
     labels = {"re-identified": "reidentified", "before": "excitation_only"}
     keys = (("distance", "distance of returns [-]"), ("fresh", "the same, fresh episodes [-]"), ("excitation", "loss"))
     rows = [[text, learned[f"{key}.excitation_only"], learned[f"{key}.reidentified"]] for key, text in keys]

@@ -1,4 +1,4 @@
-"""What was done, to look at: a window that plays it, an mp4, or a recording for rerun; plots beside the robots."""
+"""Viewer of runs: a window, an mp4, or a recording for rerun, with plots beside the robots."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -30,7 +30,7 @@ QUANTITIES: Mapping[str, tuple[tuple[str, str], float]] = {
     "P gain [A/rad]": (("command", "p_gain"), 1.0),
     "gain [firmware]": (("command", "firmware_gain"), 1.0),
 }
-"""What is plotted, where a log has it, and the factor from SI units."""
+"""Plotted channels, if a log has them, and their factors from SI units."""
 
 Plot = list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]
 """Label, time [s] and values of every line."""
@@ -42,7 +42,7 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 
 def lines_of(tracks: Tracks, joint: str) -> dict[str, Plot]:
-    """What is plotted of a joint, by axis."""
+    """Plotted lines of a joint, by axis."""
     plots: dict[str, Plot] = {}
     first = next(iter(tracks.logs.values()))
     for axis, (key, factor) in QUANTITIES.items():
@@ -141,7 +141,7 @@ def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> It
 
 @dataclass
 class Playback:
-    """Where a window is in what is played [s], how fast times real time, and what its keys do."""
+    """Playback of a window: position [s], speed relative to real time, and keys."""
 
     duration: float
     seconds: float = 0.0

@@ -11,7 +11,7 @@ GRAVITY = 9.81
 """Gravity of the scenes, and of everything that is compared with them [m/s^2]."""
 
 STANDARD_GRAVITY = 9.80665
-"""One g [m/s^2], the unit in which data sheets give accelerations; a unit, and not where the robot stands."""
+"""One g [m/s^2], the unit of accelerations in data sheets, not the local gravity."""
 
 _SERVO = load_servo("xm430-w350")
 

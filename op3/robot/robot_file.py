@@ -228,7 +228,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupl
         if one.sets == "mass" and one.factor * one.default <= 0:
             raise file.fault(("parameters", name), f"makes a mass of {one.factor * one.default:g} kg")
     if content.key_points and len(content.key_points) % max(1, len(content.feet)):
-        raise file.fault(("key_points",), f"are {len(content.key_points)}, not the same number for each foot")
+        raise file.fault(("key_points",), f"are {len(content.key_points)}, which is not the same number for every foot")
 
 
 def slide_of(joint: str) -> str:

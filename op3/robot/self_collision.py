@@ -21,12 +21,12 @@ LARGEST_OVERLAP = 0.002
 current reach in simulation, 0.6 mm, so that a deeper overlap is not a contact but an impossible pose."""
 
 LARGEST_OVERLAP_AHEAD = 0.01
-"""The same limit for poses predicted from measured speeds or from commands [m]. The shipped walk, whose
-feet pass each other within 2 mm, gets to 5.3 and 6.6 mm on two layers of bricks. One whose legs are sent through each
-other gets to 11 and 50 mm."""
+"""The same limit for poses predicted from measured speeds or from commands [m]. The shipped walk, whose feet pass each
+other within 2 mm, reaches 5.3 and 6.6 mm on two layers of bricks. A walk whose commands move the legs through each
+other reaches 11 and 50 mm."""
 
 HORIZON = 0.016
-"""How far ahead of a measured pose a collision counts as coming [s]: within two ticks of 8 ms a new command acts."""
+"""Time for which a collision is predicted from a measured pose [s]: within two ticks of 8 ms a new command acts."""
 
 
 @dataclass(frozen=True)

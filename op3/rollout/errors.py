@@ -1,4 +1,4 @@
-"""The one error of the log format: a sentence that says where, what, and how to correct it."""
+"""The error of all log readers: one sentence that states the place, the problem and the remedy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class LogError(ValueError):
-    """A log that cannot be used, told in one sentence.
+    """A log that cannot be used, described in one sentence.
 
     The sentence reads `<source>, row <row>, column <column>: <problem>; <remedy>.`; the parts that do not
     apply are left out. The same parts are attributes, so that a program can point at the cell.
@@ -49,7 +49,7 @@ class LogError(ValueError):
 
 @contextlib.contextmanager
 def located(**place: Any) -> Iterator[None]:
-    """Fill in parts of the place of a `LogError` raised within that does not say them itself."""
+    """Add missing parts of the place to a `LogError` raised within the context."""
     try:
         yield
     except LogError as error:
@@ -59,7 +59,7 @@ def located(**place: Any) -> Iterator[None]:
 
 
 def rename(name: object, known: Iterable[str], otherwise: str) -> str:
-    """The remedy for an unknown name: the nearest one that exists, or what to do where none is near."""
+    """The remedy for an unknown name: the nearest valid one, or a general remedy if none is similar."""
     by_lower = {one.lower(): one for one in known}
     close = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
     return f"rename it {by_lower[close[0]]} if that is meant" if close else otherwise

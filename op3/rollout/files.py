@@ -49,7 +49,7 @@ def map_tensordict(folder: Path) -> TensorDict:
 
 
 def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
-    """A channel by its entry in `meta.json`, or the group of channels in a folder of its own."""
+    """A channel by its entry in `meta.json`, or a group of channels in a separate folder."""
     if "dtype" not in entry:
         return map_tensordict(folder / name)
     dtype, path = _DTYPES[entry["dtype"]], folder / f"{name}.memmap"
@@ -63,7 +63,7 @@ def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
 class GrowingRows:
     """The rows of a recording's `rows.bin` as they reach the disk: a line of JSON with the channels, then float64.
 
-    A row ends in its time: what a crash tore does not, or its time does not increase.
+    Every row repeats its time at its end, so a row that a crash truncated is recognised.
 
     Args:
         path: of the file.

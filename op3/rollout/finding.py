@@ -1,4 +1,4 @@
-"""What a check of a log finds."""
+"""The finding of a check of a log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from op3.rollout.errors import LogError
 
 ERROR, WARNING = "error", "warning"
-"""An error cannot be right and refuses the log; a warning is suspicious and lets it pass."""
+"""An error is impossible, and the log is refused; a warning is suspicious, and the log is accepted."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class LogFinding:
         column: Column of the wide CSV, `time`, or a metadata field (`field mass`); None for the whole log.
         rows: First and last row concerned, counted from 1; None for all.
         times: Times of these rows [s].
-        set_aside: Whether the column is not to be used, while the rest of the log is.
+        set_aside: Whether the column is excluded, while the rest of the log is used.
         check: Name of the check.
     """
 
@@ -39,12 +39,12 @@ class LogFinding:
     check: str = ""
 
     def error(self, source: str | Path | None) -> LogError:
-        """As the error that refuses the log."""
+        """The finding as the error that refuses the log."""
         row = None if self.rows is None else self.rows[0]
         return LogError(self.problem, self.remedy, source=source, column=self.column, row=row)
 
     def row(self) -> dict[str, Any]:
-        """As a row of a table, in plain values."""
+        """The finding as a row of a table, in plain values."""
         joint, _, channel = (self.column or "").rpartition(".")
         rows = "" if self.rows is None else "-".join(str(row) for row in dict.fromkeys(self.rows))
         times = "" if self.times is None else " to ".join(f"{t:.6g}" for t in dict.fromkeys(self.times))
@@ -54,7 +54,7 @@ class LogFinding:
 
 
 def merge_findings(findings: Sequence[LogFinding]) -> list[LogFinding]:
-    """One finding for those of several joints that differ in their numbers only: they have one cause."""
+    """Merge findings of several joints that differ only in their numbers, because they have one cause."""
     alike: dict[tuple, list[LogFinding]] = {}
     for number, one in enumerate(findings):
         joint, _, channel = (one.column or "").rpartition(".")

@@ -1,4 +1,4 @@
-"""What a foreign column name probably means."""
+"""The probable meaning of a column name in another format."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _SPELLINGS: dict[str, str] = {
     "joint/position": "position positions pos angle angles q qpos theta state",
 }
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
-"""Words that say what is measured; of several in a name the first listed here counts."""
+"""Words for the measured quantity; of several in a name, the first listed here counts."""
 
 _SENSED = ("present", "measured", "meas", "actual", "feedback", "raw")
-"""Words that say that something was measured; a position where nothing says what."""
+"""Words for a measured value; without a word for the quantity it is a position."""
 
 _NO_POSITIONS = {normal_key(f"joint/{kind}") for kind in ("velocity", "current", "duty", "load", "voltage")}
-"""A target of one of these is not a target of a position."""
+"""Quantities other than positions: their targets are not position targets."""
 
 _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "accel": "acc", "accelerometer": "acc"}
 _IMU |= {"linear": "acc", "acceleration": "acc"}
@@ -46,11 +46,11 @@ _TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
 
 def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
-    """The meaning of a column by its name; None where nothing speaks for one.
+    """The meaning of a column by its name; None if the name suggests none.
 
     Args:
-        name: In the file.
-        joints: Names the robot has; a joint that is nearly one of them is taken for it.
+        name: Name in the file.
+        joints: Joints of the robot; a name that is nearly equal to one of them means it.
     """
     name = _of_path(name)
     ours = place(name)
@@ -97,7 +97,7 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
 
 
 def _of_path(name: str) -> str:
-    """A name such as `/arm/commands/elbow/position` as `elbow command position`: joint, and what its topic says of it.
+    """A name such as `/arm/commands/elbow/position` as `elbow command position`: the joint, and words of its topic.
 
     Names without a topic, and those of a trunk's sensors, stay as they are. An index stands for a joint.
     """
@@ -118,7 +118,7 @@ def _of_path(name: str) -> str:
 
 
 def _joint(name: str, joints: Sequence[str]) -> str:
-    """The joint that a name means; the only one where the name is empty."""
+    """The joint that a name means; if the name is empty, the only joint."""
     if not joints:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", name).strip("_") or "servo"
         return f"joint_{name}" if name[0].isdigit() else name
@@ -134,7 +134,7 @@ def _joint(name: str, joints: Sequence[str]) -> str:
 
 
 def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Column]:
-    """Meanings of columns by name; of two that would mean the same the first counts, the other is left out."""
+    """Meanings of columns by name; of two columns with the same meaning, the second is left out."""
     meanings: dict[str, Column] = {}
     taken: dict[str | None, str] = {}
     for name in names:

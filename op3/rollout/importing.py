@@ -1,7 +1,7 @@
-"""From what a reader found to rollouts: names, units, one clock, the options of the import.
+"""Converts the content of a file to rollouts: names, units, one clock, the options of the import.
 
-Beside a log may lie a YAML file of its name (`run.yaml` for `run.csv`, `chirp.yaml` for the folder `chirp`), or
-one `columns.yaml` for all logs of a folder. It holds metadata and, where the file cannot say it, `Options`.
+A log may have a YAML file of its name beside it (`run.yaml` for `run.csv`, `chirp.yaml` for the folder `chirp`), or a
+folder one `columns.yaml` for all its logs. It holds metadata and, for what the log does not state, `Options`.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from op3.rollout.validate import check_time, holes
 SHARED = "columns.yaml"
 
 HELD = 0.25
-"""Time for which the last command is held after its time stamp [s]: the robot comes to rest without a new one."""
+"""Time for which the last command is held after its time stamp [s], as the robot comes to rest."""
 
 _BLANK = 0.05
-"""Share of blank cells up to which a measured column counts as incomplete; beyond it, it has times of its own."""
+"""Share of blank cells up to which a measured column counts as incomplete; with more, it has separate times."""
 
 Columns = dict[str, np.ndarray]
-"""By column of the wide CSV, [time]."""
+"""Values by column of the wide CSV, [time]."""
 
 
 def _wrong(name: str, wanted: str, given: Any) -> LogError:
@@ -48,13 +48,13 @@ def _wrong(name: str, wanted: str, given: Any) -> LogError:
 
 @settings(raises=_wrong)
 class Options:
-    """What the YAML beside a log, or a command, says about how to read it.
+    """Options for reading a log, from the YAML beside it or from a command.
 
     Attributes:
-        columns: By column of the file, its name among ours or fields of `Column`, such as ``{name: elbow.position,
+        columns: By column of the file, its name in the wide CSV or fields of `Column`, such as ``{name: elbow.position,
             unit: deg, sign: -1}``.
         scale: Multiplies columns, after everything that `columns` does.
-        unwrap: Whether, or in which joints, jumps by a turn and a turn against the command are taken out.
+        unwrap: Whether, or in which joints, jumps by a turn and offsets of whole turns from the command are removed.
         shift: Added to positions and targets of joints [rad], after unwrapping.
         split: Whether the log is cut where the clock jumps or rows are missing.
     """
@@ -71,13 +71,13 @@ OPTIONS = tuple(entry.name for entry in dataclasses.fields(Options))
 
 @dataclass(frozen=True)
 class Side:
-    """What lies beside a log.
+    """Content of the YAML beside a log.
 
     Attributes:
         metadata: Fields of `Metadata`.
-        options: Of the import.
+        options: Options of the import.
         source: The file, named in errors.
-        found: Whether there is one.
+        found: Whether the file exists.
     """
 
     metadata: dict[str, Any]
@@ -87,15 +87,15 @@ class Side:
 
 
 def side_path(path: Path) -> Path:
-    """Where the YAML of a log lies: `run.yaml` for `run.csv.xz`; folders keep their dots."""
+    """Path of the YAML of a log: `run.yaml` for `run.csv.xz`; folders keep their dots."""
     name = path.name if path.is_dir() else unpacked(path).stem
     short = path.parent / f"{name}.yml"
     return short if short.is_file() else short.with_suffix(".yaml")
 
 
 def read_side(path: Path, options: Mapping[str, Any] | None = None, proposed: Mapping[str, Any] | None = None) -> Side:
-    """What lies beside a log: its own file over the folder's, and options of a command over both; or what is proposed
-    to lie there, where nothing does."""
+    """Content of the YAML beside a log: its own file overrides the folder's, and options of a command override both;
+    without a file, the proposed content."""
     values = dict(proposed or {})
     files = [file for file in (path.parent / SHARED, side_path(path)) if file.is_file() and file != path]
     for file in files:
@@ -112,7 +112,7 @@ def read_side(path: Path, options: Mapping[str, Any] | None = None, proposed: Ma
 
 
 def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
-    """One rollout, or one per part where the import splits; raises `LogError` where it cannot be one."""
+    """One rollout, or one per part if the import splits the log; raises `LogError` if the data are invalid."""
     if recording.strict and not side.found:
         remedy = f"write the metadata (joints, robot, mount, rate) to {side.source.name} beside it"
         remedy += f", which `op3 import {path}` proposes"
@@ -144,7 +144,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
 
 
 def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
-    """Meanings by name of columns of which none is ours, where the YAML beside them says nothing of columns."""
+    """Guessed meanings of columns, if none has a name of the wide CSV and the YAML describes no columns."""
     names = [name for stream in recording.streams for name in stream.columns]
     ours = any(known[0].axes == "joint" for known in map(place, names) if known)
     joints = side.metadata.get("joints")
@@ -154,7 +154,7 @@ def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
 
 
 def _guess_warning(guessed: Mapping[str, Column]) -> list[LogFinding]:
-    """A warning that names alone say what columns are."""
+    """A warning that the meanings of columns were guessed from their names only."""
     read = [f"{name} as {column.name}" for name, column in guessed.items() if column.name]
     problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: names of columns were guessed"
     remedy = "write them under `columns:` in the YAML"
@@ -162,7 +162,7 @@ def _guess_warning(guessed: Mapping[str, Column]) -> list[LogFinding]:
 
 
 def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
-    """What the format says, with the user's word over it."""
+    """The format's meaning of a column, overridden by the user's."""
     meanings = dict(recording.columns)
     there = {name for stream in recording.streams for name in stream.columns}
     for name, entry in side.options.columns.items():
@@ -178,7 +178,7 @@ def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
 
 
 def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, side: Side) -> Stream:
-    """The stream with our names and units; columns without a meaning are refused or left out."""
+    """The stream with the names of the wide CSV and SI units; columns without a meaning are refused or left out."""
     columns: Columns = {}
     for name, values in stream.columns.items():
         column = meanings.get(name, Column(name))
@@ -203,9 +203,9 @@ def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, si
 
 
 def _stamped_apart(stream: Stream) -> list[Stream]:
-    """A stream for each set of rows in which columns hold numbers: blank cells are of rows that others were stamped in.
-
-    A command holds until the next, also behind its last one. Where positions stand in every row, other blanks are lost.
+    """A stream for each set of rows in which the same columns hold numbers: a blank cell means that the row is the time
+    stamp of other columns. A command holds until the next one, and after the last. If positions are in every row, other
+    blanks are missing values.
     """
     there = {name: np.isfinite(values) for name, values in stream.columns.items()}
     apart = any(name.endswith(".position") and rows.mean() < 1 - _BLANK for name, rows in there.items())
@@ -239,10 +239,10 @@ def _unknown(name: str, position: int, side: Side) -> LogError:
 
 
 def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Columns]:
-    """All columns at the times of the first stream, where every stream has begun and none has ended.
+    """All columns at those times of the first stream at which every stream has begun and none has ended.
 
-    Signals are interpolated, but not across a hole, where they hold no number. A command counts from the row nearest to
-    when it was issued, so that what is lost is at most half a row and nothing on average.
+    Signals are interpolated, but not across a gap, in which they have no value. A command counts from the row nearest
+    to its time stamp, so that the error is at most half a row and zero on average.
     """
     first, *others = streams
     if split and not others:  # its parts are checked
@@ -286,7 +286,7 @@ def _is_held(name: str) -> bool:
 
 
 def _split(time: np.ndarray) -> list[slice]:
-    """The parts between holes; single rows are no part."""
+    """The parts between gaps; single rows are dropped."""
     cuts = [0, *holes(time).tolist(), len(time)]
     return [slice(a, b) for a, b in itertools.pairwise(cuts) if b - a > 1] or [slice(None)]
 
@@ -297,7 +297,7 @@ def _rate(time: np.ndarray) -> float:
 
 
 def _joints(columns: Collection[str]) -> list[str]:
-    """Joints in the order in which columns name them; those with a position, where any has one."""
+    """Joints in the order of the columns; only those with a position, if any has one."""
     found = (place(name) for name in columns)
     joints = list(dict.fromkeys(p[1] for p in found if p and p[0].axes == "joint"))
     measured = [joint for joint in joints if f"{joint}.position" in columns]
@@ -306,7 +306,7 @@ def _joints(columns: Collection[str]) -> list[str]:
 
 
 def _mend(columns: Columns, side: Side) -> None:
-    """Take out turns, shift and scale, as the options ask; changes `columns`."""
+    """Unwrap, shift and scale as the options state; changes `columns`."""
     options, joints = side.options, _joints(columns)
     listed = options.unwrap if isinstance(options.unwrap, tuple) else joints if options.unwrap else []
     asked = (("unwrap", listed, joints), ("shift", options.shift, joints), ("scale", options.scale, columns))
@@ -334,7 +334,7 @@ def _mend(columns: Columns, side: Side) -> None:
 def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> dict[Any, np.ndarray]:
     """Channels [time, last axis].
 
-    Joints that are not the log's, and channels that lack a column, are refused where the log is strict, else left out.
+    Joints that the log does not have, and incomplete channels, are refused if the log is strict, else left out.
     """
     widths: dict[Any, int] = {}
     for name in columns:
@@ -361,7 +361,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
             remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
             others = [n for n in columns if (found := place(n)) and found[0] == channel and n not in wanted]
             if others and channel.required:
-                problem = f"there are {', '.join(others[:6])}, but none belongs to {', '.join(metadata.joints[:6])}"
+                problem = f"none of the columns {', '.join(others[:6])} belongs to {', '.join(metadata.joints[:6])}"
                 remedy = f"name their joints under `columns:` in the YAML, as in `<column>: {missing[0]}`"
             raise LogError(problem, remedy, column=missing[0], row="header")
     for name in ("firmware_gain", "p_gain", "d_gain"):
@@ -371,7 +371,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
 
 
 def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[LogFinding]:
-    """A warning where every clock runs in a part of the time only."""
+    """A warning if the common time of all clocks is only a part of the recording."""
     by_span = sorted(streams, key=lambda stream: float(np.ptp(stream.time)))
     shortest, (used, all_of_it) = by_span[0], (float(np.ptp(t)) for t in (time, by_span[-1].time))
     problem = f"only {used:.4g} of {all_of_it:.4g} s have values of all clocks and are used: "
@@ -381,9 +381,8 @@ def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[LogFinding]:
 
 
 def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[LogFinding]:
-    """Columns that are not to be used, as cells hold no number; changes these cells to zero.
-
-    Positions, commands and times with such cells are left, to be refused.
+    """Columns that are excluded because cells hold no number; sets these cells to zero. Positions, commands and times
+    with such cells are unchanged, so that they are refused.
     """
     findings = []
     for key, values in arrays.items():

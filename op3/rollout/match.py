@@ -1,4 +1,4 @@
-"""How one signal follows another: factor, sign, delay, and whose it really is."""
+"""Comparison of signals: factor, sign, delay, and assignment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GIVES = 0.5  # no servo that holds its target yields by so much [rad]
 
 @dataclass(frozen=True)
 class Match:
-    """Signals a against signals b.
+    """Comparison of signals a with signals b.
 
     Attributes:
         correlation: Of a's columns with b's, [a, b].
@@ -57,23 +57,23 @@ def fitted(causes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def unexplained(values: np.ndarray, causes: np.ndarray) -> float:
-    """Share of the variance of values [row] that a linear fit of causes [row, cause] leaves."""
+    """Share of the variance of values [row] that a linear fit of causes [row, cause] does not explain."""
     return float((values - causes @ fitted(causes, values)).var() / max(values.var(), 1e-12))
 
 
 def as_if(*readings: tuple[str, float, str], tolerance: float = 0.05) -> str:
-    """In what unit numbers are, in words: the first that fits, of what they are called, their factor and SI unit."""
+    """The unit of values, in words: the first that fits, from their names, factors and SI units."""
     units = ((who, likely_unit(ratio, unit, tolerance)) for who, ratio, unit in readings)
     return next((f", as if {who} were in {unit}" for who, unit in units if unit), "")
 
 
 def is_unit(ratio: float | None) -> bool:
-    """Whether a factor between two rates is a unit or a sign, and not a filter or a rough sensor."""
+    """Whether a factor between two rates is a unit or a sign, rather than a filter or a coarse sensor."""
     return ratio is not None and (ratio < 0 or not 0.2 < ratio < 5 or likely_unit(ratio, "rad/s", 0.05) is not None)
 
 
 def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
-    """Correlation of a [row] with b so many rows earlier, or later where they are negative."""
+    """Correlation of a [row] with b a number of rows earlier, or later if negative."""
     if rows < 0:
         a, b, rows = b, a, -rows
     a, b = a[rows:] - a[rows:].mean(), b[: len(b) - rows] - b[: len(b) - rows].mean()
@@ -82,12 +82,12 @@ def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
 
 
 def delays(a: np.ndarray, b: np.ndarray, lags: Iterable[int]) -> np.ndarray:
-    """Correlation of a [row] with b so many rows earlier, for each number of them [lag]."""
+    """Correlation of a [row] with b a number of rows earlier, for each of these numbers [lag]."""
     return np.array([delayed(a, b, lag) for lag in lags])
 
 
 def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """First and last rows of overlapping windows that no hole interrupts, and how long they are [s]."""
+    """First and last rows of overlapping windows without gaps, and their length [s]."""
     interval = float(np.median(np.diff(time)))
     rows = max(2, min(round(WINDOW / interval), len(time) // 10))
     first = np.arange(0, len(time) - rows, max(1, rows // OVERLAP, len(time) // 8000))
@@ -101,7 +101,7 @@ def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 
 def step(values: np.ndarray) -> np.ndarray:
-    """Step of the grid on which each column's numbers [row, name] lie [name]; 0 where they lie on none."""
+    """Resolution of the values of each column [row, name]: the step of their grid [name], or 0 without a grid."""
     some = values[:: max(1, len(values) // 4000)]
     steps = np.zeros(some.shape[1])
     for i, column in enumerate(some.T):
@@ -115,12 +115,12 @@ def step(values: np.ndarray) -> np.ndarray:
 
 
 def runs(rows: np.ndarray) -> np.ndarray:
-    """First row of each run of truths [row], and the row behind it, [run, 2]."""
+    """First row of each run of true values [row], and the row after its last, [run, 2]."""
     return np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
 
 
 def longest_run(rows: np.ndarray) -> tuple[int, int]:
-    """Start and length of the longest run of truths [row]."""
+    """Start and length of the longest run of true values [row]."""
     found = runs(rows)
     first, end = found[np.diff(found).argmax()].tolist() if len(found) else (0, 0)
     return first, end - first

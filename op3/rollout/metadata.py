@@ -1,4 +1,4 @@
-"""What is known about a log besides its samples, and its YAML file."""
+"""The metadata of a log, and their YAML file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from op3.rollout.schema import RESERVED
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
 HOLDING = ("stand", "pendulum")
-"""Mounts that carry the weight: joints then only carry what is theirs."""
+"""Mounts that carry the robot's weight, so that joints carry only their own limbs."""
 
 MOUNTS = ("floor", *HOLDING, "board", "board_weight", *(f"bricks_{kind}" for kind in "abcd"), "terrain")
 
@@ -31,7 +31,7 @@ _UNITS |= {"travelled_distance": "m", "episode_duration": "s"}
 
 
 def _plain(value: Any) -> Any:
-    """Values as YAML gives them back: numpy scalars and arrays, tuples, dates and paths become plain."""
+    """Values as YAML returns them: numpy scalars and arrays, tuples, dates and paths become plain values."""
     if isinstance(value, Mapping):
         return {str(name): _plain(v) for name, v in value.items()}
     if isinstance(value, list | tuple):
@@ -67,11 +67,11 @@ Integer = Annotated[int | None, BeforeValidator(_plain)]
 
 @settings(raises=_wrong)
 class Metadata:
-    """What is known about a log besides its samples.
+    """The metadata of a log: everything except its samples.
 
     Attributes:
         joints: Joint names, in the order of every [joint] axis.
-        robot: Who made the log: `simulated`, `emulated`, `real` or `rig` (a servo on a test bench).
+        robot: What made the log: `simulated`, `emulated`, `real` or `rig` (a servo on a test bench).
         mount: What holds the robot: `stand` or `pendulum`, or what it stands on: `floor`, `board`, `board_weight`,
             `bricks_a` to `bricks_d` or `terrain`.
         rate: Rows per second [Hz].
@@ -82,11 +82,11 @@ class Metadata:
             or the bench for a pendulum.
         servo: Servo type, such as `xm430-w350` or `xl330`.
         firmware_gain: Proportional gain register of servos that close the loop themselves [firmware units].
-        p_gain: Proportional gain of all joints where no column says it [A/rad].
-        d_gain: Derivative gain of all joints where no column says it [A s/rad].
+        p_gain: Proportional gain of all joints if no column has gains [A/rad].
+        d_gain: Derivative gain of all joints if no column has gains [A s/rad].
         policy_rate: Policy steps per second [Hz].
         motion: Name of the motion or trajectory.
-        recording: Identity of the recording; logs of one sitting may share the part before a slash.
+        recording: Id of the recording; logs of one session may share the part before a slash.
         model_hash: Hash of the model file that made or drove the log.
         git_hash: Commit of the code that made the log.
         seed: Seed of every random number in the log.
@@ -149,7 +149,7 @@ class Metadata:
         return dataclasses.replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain YAML values; fields that say nothing are left out."""
+        """Plain YAML values; empty fields are left out."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
         return {name: v for name, v in values.items() if v not in (None, {}, [])}
@@ -158,8 +158,8 @@ class Metadata:
     def from_dict(
         cls, values: Mapping[str, Any], source: str | Path = "metadata", beside: Sequence[str] = ()
     ) -> Metadata:
-        """Build from plain values, refusing missing and unknown fields by name; one of those that stand `beside` them
-        may be meant."""
+        """Build from plain values; missing and unknown fields are refused by name, with suggestions from `beside`
+        too."""
         known = [f.name for f in dataclasses.fields(cls)]
         with located(source=source):
             for name in values:

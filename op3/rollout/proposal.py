@@ -1,4 +1,4 @@
-"""What an import proposes for a log that nobody has described yet: names, units and signs, and why."""
+"""Proposed names, units and signs for a log without a YAML, with reasons."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from op3.rollout.schema import place
 
 
 def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[str, Column], list[str]]:
-    """Metadata, the meaning of every column of a log, and what cannot be known of them.
+    """Proposed metadata, meanings of all columns of a log, and doubts about them.
 
     Args:
-        path: Of the log.
+        path: Path of the log.
         robot: Name or file of the robot, whose joints the columns are given; None: names stay as they are.
     """
     found = reader_of(path).read(path)[0]
@@ -57,10 +57,11 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
 def _in_counts(
     columns: dict[str, Column], values: Mapping[str, np.ndarray], robot: Robot | None
 ) -> tuple[dict[str, Column], list[str]]:
-    """The columns, with angles that are an encoder's counts in its unit, and what is guessed of that.
+    """The columns, with angles in encoder counts converted, and the guesses about them.
 
-    Whole numbers beyond any angle are counts. The robot's file knows the servo; else those of 4096 a turn stand around
-    2048, those of 1024 in 300 degrees around 512, and those of 16 bits a turn around 32768.
+    Whole numbers too large for an angle are counts. The robot's file states the servo; otherwise values around 2048
+    mean 4096 counts per turn, values around 512 mean 1024 counts in 300 degrees, and values around 32768 mean 16 bits
+    per turn.
     """
     kind = {name: str(column.name).rpartition(".")[2] for name, column in columns.items()}
     angles = {name for name in columns if kind[name] in ("position", "target")}
@@ -96,7 +97,7 @@ def _whole(values: np.ndarray) -> bool:
 
 
 def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
-    """The columns with the robot's joints by their bus ids, or in their order, where the file numbers as many."""
+    """The columns with the names of the robot's joints, by bus id, or in order if the file numbers as many joints."""
     joints = {name: str(column.name).rpartition(".")[0] for name, column in columns.items() if column.name}
     numbers = {j: int(found[1]) for j in joints.values() if (found := re.fullmatch(r"(?:[A-Za-z]+_?)?(\d+)", j))}
     if len(numbers) != len(robot.joints) or numbers.keys() & called(robot).keys():

@@ -20,7 +20,7 @@ Paths = str | Path | Iterable[str | Path]
 
 
 def kinds() -> str:
-    """What may be named, in words."""
+    """What a path may name, in words."""
     return "a rollout folder, a wide .csv with its sidecar, " + ", ".join(
         f"{reader.title} ({reader.paths})" for name, reader in readers().items() if name not in ("folder", "csv")
     )
@@ -31,10 +31,10 @@ def read_log(path: str | Path, robot: str | Path | Robot | None = None) -> Rollo
 
     Args:
         path: of the log.
-        robot: that made it, its name or file: a log that names none is read in its terms, see `as_robot`.
+        robot: name or file of the robot that made it, for a log that names none; see `as_robot`.
 
     Raises:
-        LogError: with one sentence, and nothing is imported, if anything about it is wrong.
+        LogError: if the log is invalid; the message is one sentence, and nothing is imported.
     """
     logs = read_episodes(path, robot=robot)
     if len(logs) == 1:
@@ -54,10 +54,10 @@ def read_episodes(
 
     Args:
         path: File or folder of the log.
-        options: Of the import, over those in its YAML; see `op3.rollout.importing.Options`.
-        check: Whether logs that cannot be right are refused, and bad channels of single joints set aside.
-        robot: That made it, see `read_log`.
-        proposed: What its YAML would say, where it has none.
+        options: Options of the import, which override its YAML; see `op3.rollout.importing.Options`.
+        check: Whether impossible logs are refused, and unusable channels of single joints excluded.
+        robot: Robot that made it, see `read_log`.
+        proposed: Content of its YAML, if it has none.
     """
     path = Path(path)
     logs: list[Rollout] = []
@@ -89,7 +89,7 @@ def read_logs(paths: Paths, robot: str | Path | Robot | None = None) -> list[Rol
         paths: A log, a folder of logs (those directly in it; where there are none, in the folders in it, as a multirun
             leaves them), a glob pattern (`logs/**/*.csv`), or several of these, whose order is kept. In a folder, files
             that hold no recording are passed over.
-        robot: that made them, see `read_log`.
+        robot: robot that made them, see `read_log`.
     """
     given = [paths] if isinstance(paths, str | Path) else paths
     logs = [log for entry in given for path in expand(entry) for log in read_episodes(path, robot=robot)]
@@ -105,7 +105,7 @@ def robot_of(paths: Paths) -> Robot:
 
 
 def expand(path: str | Path) -> list[Path]:
-    """The single logs that a path, folder or pattern stands for."""
+    """Paths of the single logs that a path, folder or pattern means."""
     if not str(path).strip():
         raise LogError("the path of a log is empty", f"name {kinds()}")
     path = Path(path)
@@ -123,7 +123,7 @@ def expand(path: str | Path) -> list[Path]:
 
 
 def reader_of(path: Path) -> Reader:
-    """The reader of a log, which is refused where there is none."""
+    """The reader of a log; raises `LogError` if no reader supports it."""
     reader = _claiming(path) if path.exists() else None
     if reader is None:
         problem = (
@@ -146,7 +146,7 @@ def _claiming(path: Path) -> Reader | None:
 
 
 def _inside(folder: Path) -> list[Path]:
-    """Logs directly in a folder; where there are none, those of the folders in it."""
+    """Logs directly in a folder; if there are none, those of its subfolders."""
     entries = sorted(folder.iterdir())
     found = [entry for entry in entries if _is_log(entry)]
     if found:

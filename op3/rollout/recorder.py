@@ -26,7 +26,7 @@ from op3.rollout.schema import CHANNELS, Key, key_name, normal_key
 from op3.rollout.validate import check_values, known_channel, width_of
 
 FLUSH_INTERVAL = 0.5
-"""Between writes to the disk [s]."""
+"""Time between writes to the disk [s]."""
 
 
 class Recorder:
@@ -70,8 +70,7 @@ class Recorder:
         """Add one row; raises `LogError`, and adds nothing, if the row cannot belong to the log.
 
         Args:
-            row: Every channel of the log by key, each with its last axis ([joint], [3], scalar as a number);
-                numbers, arrays or tensors.
+            row: Values of every channel by key: a number for a scalar, else an array or tensor [joint] or [3].
         """
         if self._stop.is_set():
             raise LogError("the recorder is closed", "open another one", source=self.folder)

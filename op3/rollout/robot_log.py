@@ -1,4 +1,4 @@
-"""What a log says of the robot and the servo that made it, and logs by others in the terms of a robot's file."""
+"""The robot and servo of a log, and conversion of external logs to the conventions of a robot's file."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from op3.rollout.schema import CHANNELS
 
 
 def called(robot: Robot) -> dict[str, str]:
-    """The robot's joints by what its logs call them, and by their own names."""
+    """The robot's joints, by their names in its logs and by their own names."""
     return {robot.log_channel(name)[0].name or name: name for name in robot.joints} | {n: n for n in robot.joints}
 
 
 def in_its_terms(robot: Robot, joint: str, kind: str) -> tuple[int, float, float]:
-    """Sign, size of the unit and offset that make SI of a column of a robot's logs.
+    """Sign, size of the unit and offset that convert a column of a robot's logs to SI units.
 
     Args:
-        robot: that made the log.
-        joint: its own name.
+        robot: robot that made the log.
+        joint: name of the joint.
         kind: what stands after the joint in a column of the wide CSV.
     """
     channel, unit = robot.log_channel(joint)
@@ -32,14 +32,14 @@ def in_its_terms(robot: Robot, joint: str, kind: str) -> tuple[int, float, float
 
 
 def as_robot(log: Rollout, robot: Robot) -> Rollout:
-    """A log in the terms of a robot: joints named and ordered as in its file, angles in rad from its zeros.
+    """A log in the conventions of a robot: joints named and ordered as in its file, angles in rad from its zeros.
 
     Args:
         log: as it was recorded, its joints called as here or as the robot's file says that its logs call them.
         robot: that made it.
 
     Raises:
-        LogError: if the log has a joint that the robot has not.
+        LogError: if the log has a joint that the robot does not have.
     """
     known = called(robot)
     for joint in log.joints:
@@ -65,7 +65,7 @@ def stand_tilt(log: Rollout) -> tuple[float, float] | None:
     """Roll and pitch of the stand [rad], to a hundredth: by the IMU, else the ``tilt`` of the metadata's ``extra``.
 
     Returns:
-        None where neither tells.
+        None if neither exists.
     """
     if "imu/orientation" in log:
         roll, pitch = log.array("imu/orientation")[:, :2].mean(0)

@@ -38,7 +38,7 @@ class Rollout:
     Attributes:
         data: TensorDict of batch size [time] or [episode, time] with the channels of `CHANNELS`, float64
             (`done` is bool), on the CPU.
-        metadata: What is known besides the samples.
+        metadata: Everything except the samples.
         findings: Findings of the checks, if they were made; see `op3.rollout.health`.
 
     Construction checks shapes, dtypes, finite values and increasing time, and raises `LogError` otherwise.
@@ -182,7 +182,7 @@ class Rollout:
         return column_names(CHANNELS[key], self.joints, self.data[key].shape[-1])
 
     def episodes(self) -> tuple[Rollout, ...]:
-        """The single logs of a batch; a log without an episode axis gives itself."""
+        """The single logs of a batch; for a log without an episode axis, the log itself."""
         return tuple(self.episode(i) for i in range(self.data.batch_size[0])) if self.batched else (self,)
 
     def episode(self, index: int) -> Rollout:

@@ -7,9 +7,8 @@ specific force (+9.81 m/s2 upwards at rest) are in the body frame. A channel tha
 Policy channels change once per policy step. In a log whose rows are faster than the policy they are held
 between policy steps, and the metadata's `policy_rate` says how fast the policy was.
 
-The `raw` group keeps what crossed the bus of a real or emulated robot, in whole register units, so that a doubt
-about conversion, calibration, limits or lost replies can be settled from the log alone. Consumers read the SI
-channels; the raw ones are for checking.
+The `raw` group keeps what crossed the bus of a real or emulated robot, in whole register units, so that conversion,
+calibration, limits and lost replies can be checked from the log alone. Other code reads only the SI channels.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ RESERVED = ("imu", "policy", "raw")
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a channel measures.
+    """Physical quantity of a channel.
 
     Attributes:
         unit: Unit, as printed in messages and tables; empty for pure numbers.
         bound: Largest plausible absolute value [unit]; beyond it the unit is wrong.
-        mistake: What a value beyond the bound looks like.
+        mistake: Likely mistake behind a value beyond the bound.
         remedy: What to do about it.
         nonnegative: Whether values below zero are impossible.
         binary: Whether only 0 and 1 are possible.
@@ -129,7 +128,7 @@ def key_name(key: Key) -> str:
 
 
 def normal_key(key: str | Iterable[str]) -> Key:
-    """A key as the table spells it; `"joint/position"`, `("time",)` and lists are understood."""
+    """A key in the form of the table; accepts `"joint/position"`, `("time",)` and lists."""
     parts = tuple(key.split("/")) if isinstance(key, str) else tuple(key)
     return parts[0] if len(parts) == 1 else parts  # type: ignore[return-value]
 
@@ -141,7 +140,7 @@ _UPWARDS = "Specific force in the body frame, +9.81 m/s2 upwards at rest."
 _ANSWERED = "1 where the servo answered in this row; 0 where its values are those of an earlier row."
 _NINE = "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's own axes."
 _UNSHIFTED = "Present position register, without calibration offset."
-_LATENESS = "How long after its deadline the tick of this row began."
+_LATENESS = "Delay of this row's tick after its deadline."
 
 _TABLE = (
     Channel("time", Quantity("s"), "time", "Time of the row, strictly increasing.", "required"),
@@ -162,8 +161,8 @@ _TABLE = (
     Channel("imu/orientation", ANGLE, "imu.{axis}", "Roll, pitch, yaw of the trunk."),
     Channel("imu/angular_velocity", BODY_RATE, "imu.gyro_{axis}", "Angular velocity in the body frame."),
     Channel("imu/linear_acceleration", FORCE, "imu.acc_{axis}", _UPWARDS),
-    Channel("policy/observation", NUMBER, "policy.observation_{index}", f"What the policy saw, {_POLICY}", _HOLD),
-    Channel("policy/action", NUMBER, "policy.action_{index}", f"What the policy answered, {_POLICY}", _HOLD),
+    Channel("policy/observation", NUMBER, "policy.observation_{index}", f"Observation of the policy, {_POLICY}", _HOLD),
+    Channel("policy/action", NUMBER, "policy.action_{index}", f"Action of the policy, {_POLICY}", _HOLD),
     Channel("policy/reward", NUMBER, "policy.reward", f"Reward of the policy step, {_POLICY}", _HOLD),
     Channel(
         "raw/goal_current", _AMPERE, "{joint}.raw_goal_current", "Goal current last sent, after every limit.", _HOLD
@@ -208,7 +207,7 @@ COMMAND_CHANNELS = {
     ("joint", "voltage"): "bus_voltage",
     ("joint", "temperature"): "temperature",
 }
-"""Channels of a log that drive the simulation, and the command each becomes.
+"""Channels of a log that drive the simulation, and the simulation's input for each.
 
 Two of them are measured: the voltage of the bus, and the temperature of the servos."""
 

@@ -1,4 +1,4 @@
-"""Units that logs are written in, and which of them a factor betrays.
+"""Units of logs, and identification of a unit by its factor.
 
 Registers: control tables of Dynamixel X, MX and XL series (ROBOTIS e-Manual) and of Feetech STS and HLS servos.
 """
@@ -49,7 +49,7 @@ UNITS: dict[str, dict[str, float]] = {
 """Sizes of units by the SI unit they belong to, the most usual first."""
 
 OFFSETS = {"K": -273.15, "F": -160 / 9}
-"""What is added after the factor, for temperatures."""
+"""Offsets of temperature units, added after the factor."""
 
 _ALIASES = {"degrees": "deg", "°": "deg", "degree": "deg", "radian": "rad", "radians": "rad", "rev": "turn"}
 _ALIASES |= {"dps": "deg/s", "deg_s": "deg/s", "rad_s": "rad/s", "rps": "turn/s", "°/s": "deg/s", "%": "percent"}
@@ -85,7 +85,7 @@ def factor(unit: str | float, quantity: Quantity, column: str) -> tuple[float, f
 
 
 def likely_unit(ratio: float, si_unit: str, tolerance: float = 0.12) -> str | None:
-    """The unit in which numbers come out `ratio` times too large, None where no known one is near.
+    """The unit whose numbers are `ratio` times the SI value; None if no known unit is near.
 
     Args:
         ratio: Recorded number over the number in the SI unit.
@@ -100,7 +100,7 @@ def likely_unit(ratio: float, si_unit: str, tolerance: float = 0.12) -> str | No
 
 
 def plausible_unit(value: float, si_unit: str, typical: float) -> tuple[str, float] | None:
-    """The unit that brings a number nearest to a typical one, with the number in SI; None where none comes near."""
+    """The unit in which a number is nearest to a typical value, with the number in SI; None if none is near."""
     sizes = [item for item in UNITS[si_unit].items() if item[0] not in ("in", "lb")]
     name, size = min(sizes, key=lambda item: abs(math.log(abs(value) * item[1] / typical)))
     return (name, value * size) if 0.02 < abs(value) * size / typical < 50 and size != 1 else None

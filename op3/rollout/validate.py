@@ -1,6 +1,6 @@
-"""What every consumer of a log relies on: shapes, finite numbers, increasing time; checked wherever one is made.
+"""Basic validity of every log, checked on construction: shapes, finite numbers, increasing time.
 
-Whether the numbers can be right is asked by `op3.rollout.health`.
+`op3.rollout.health` checks whether the values are plausible.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from op3.rollout.metadata import OUTCOMES, Metadata
 from op3.rollout.schema import CHANNELS, Channel, Key, column_names, key_name
 
 GAP_INTERVALS, GAP = 10.0, 0.15
-"""A hole is an interval of so many usual ones that is at least so long [s]."""
+"""A gap is an interval of at least this multiple of the usual one and at least this length [s]."""
 
 INSTANT = 1e-9
 """Smallest time between two rows [s]: below it, rates are not finite."""
 
 
 def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Metadata) -> None:
-    """Raise `LogError` unless channels have the shape and the sanity the schema promises.
+    """Raise `LogError` unless channels have the shapes and values that the schema requires.
 
     Args:
         tensors: By key, [*batch, last axis].
@@ -53,7 +53,7 @@ def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Met
 
 
 def known_channel(key: Key) -> Channel:
-    """The channel of a key, which is refused where there is none."""
+    """The channel of a key; raises `LogError` if there is none."""
     if key not in CHANNELS:
         known = ", ".join(key_name(k) for k in CHANNELS)
         raise LogError(f"unknown channel {key_name(key)!r}", f"the channels are {known}")
@@ -61,7 +61,7 @@ def known_channel(key: Key) -> Channel:
 
 
 def width_of(channel: Channel, metadata: Metadata) -> int | None:
-    """Length of a channel's last axis; None where any will do."""
+    """Length of a channel's last axis; None if it may have any length."""
     return {"scalar": 1, "joint": len(metadata.joints), "imu3": 3}.get(channel.axes)
 
 
@@ -88,8 +88,8 @@ def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, befor
     """Raise `LogError` unless every value [episode, time, last axis] is possible for the channel.
 
     Args:
-        channel: They are of.
-        values: After so many rows `before` them.
+        channel: Channel of the values.
+        values: Values, which follow `before` rows.
         metadata: Gives the joint axis.
         before: Rows.
     """

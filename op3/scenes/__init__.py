@@ -1,4 +1,4 @@
-"""What a robot stands, hangs or is bolted on: floors, tiles, boards, stands and benches as MJCF."""
+"""Supports of a robot: floors, tiles, boards, stands and benches as MJCF."""
 
 from typing import TYPE_CHECKING
 

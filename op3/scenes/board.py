@@ -177,10 +177,11 @@ class BoardDrive:
 
 
 LOWERING_SPEED = 0.1
-"""How fast a hand lowers the weight [m/s]; ours."""
+"""Speed at which a hand lowers the weight [m/s]; ours."""
 
 HAND_STIFFNESS = 200.0
-"""How the hand holds the weight against the height it means [N/m]; it lets go within 0.5 s of touching the board."""
+"""Stiffness with which the hand holds the weight at its intended height [N/m]; it lets go within 0.5 s of touching the
+board."""
 
 _HAND_DAMPING = 2 * np.sqrt(HAND_STIFFNESS * WEIGHT_MASS)
 
@@ -223,7 +224,7 @@ class WeightDrive:
 def board_drive(
     model: mujoco.MjModel, board: BoardMotion | WeightSchedule, period: float = 0.008
 ) -> BoardDrive | WeightDrive:
-    """What makes a scene's board do this.
+    """The drive of a scene's board for a motion.
 
     Args:
         board: motion of the scene "board", or schedule of the scene "board_weight".

@@ -91,7 +91,7 @@ class Scene:
 
     @property
     def mounted_specific_force(self) -> NDArray[np.float64]:
-        """What an accelerometer on a fixed base reads [xyz] in m/s^2, in the base's frame.
+        """Reading of an accelerometer on a fixed base [xyz] in m/s^2, in the base's frame.
 
         MuJoCo's own accelerometer reads zero on a body that cannot move, where a real one reads gravity, so a
         log of the stand takes this instead of the sensor.
@@ -102,7 +102,7 @@ class Scene:
         return -rotation_matrix(self.tilt_roll, self.tilt_pitch).T @ gravity
 
     def foremost(self, data: mujoco.MjData) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
+        """Forward position of the foremost foot's inner tip in the world [m]; 0 without feet."""
         if self.robot is None or not self.robot_file.inner_tips:
             return 0.0
         points = self.robot.key_points
@@ -112,7 +112,8 @@ class Scene:
         """A MuJoCo model of the tree as it is now. Every call recompiles.
 
         Args:
-            visual: whether geoms that only pictures show are in it. Without them all moves alike, and faster.
+            visual: whether geoms that only pictures show are in it. Without them the motion is identical and the
+                simulation faster.
         """
         try:
             spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
@@ -215,7 +216,7 @@ def build_scene(
 
 
 def check_scene(name: str, robot: Robot) -> None:
-    """Refuse a scene that there is not, or on which a robot cannot be put down."""
+    """Refuse an unknown scene, or one on which a robot cannot be put down."""
     if name not in SCENES and "." not in name:
         raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}, or give an MJCF file or package.function")
     if name not in ("stand", "bench") and not robot.sole_geoms:

@@ -11,7 +11,7 @@ from decimal import Decimal
 from typing import Any
 
 JOINT = "joint"
-"""Field of a condition that picks a joint, not logs."""
+"""Field of a condition that selects a joint instead of logs."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Condition:
 
     @property
     def joint(self) -> str | None:
-        """The joint that it picks; None if it picks logs."""
+        """The joint that it selects; None if it selects logs."""
         return str(self.value) if self.field == JOINT else None
 
     def holds(self, metadata: Mapping[str, Any]) -> bool:

@@ -161,9 +161,9 @@ class Effect:
     Class attributes:
         name: identifier in ``model.yaml`` and in ``effect=[name]``.
         stage: when it acts.
-        rank: place within the stage; effects of one rank act in the order of their names.
+        rank: order within the stage; effects of equal rank act in the order of their names.
         equation: the law in one line.
-        source: source of the law.
+        source: reference for the law.
         parameters: its numbers.
         memory: names of its memory.
         constants: names of the constants that `prepare` computes.
@@ -181,7 +181,7 @@ class Effect:
             form.
         foreseeable: whether its influence in a short window can be predicted; that of lost packets cannot.
         free_base: whether only a robot with a free base shows it.
-        both_sides: whether it is a difference between left and right, which one side does not show.
+        both_sides: whether it is a difference between left and right, which logs of one side do not show.
         acts_in: name of the effect whose functions also compute this one.
         stiff: whether its dynamics take milliseconds, so that simulations must not use longer steps than usual.
     """

@@ -52,8 +52,8 @@ class Kernel:
     Attributes:
         effects: in the order in which they act.
         signals: type of the state of a joint.
-        parameters: type of its parameters, which has a field named after the text of all laws: what was compiled and
-            kept on disk for another law does not fit.
+        parameters: type of its parameters. One of its fields is named after a hash of all laws, so that cached code of
+            other laws does not match.
         neutral: parameters where all effects are off.
         deep: effects with more memory than their fields.
         functions: runners by name.
@@ -92,12 +92,12 @@ class Kernel:
 
 
 def current() -> Kernel:
-    """The kernel of the present catalogue."""
+    """The kernel of the current catalogue."""
     return _made(tuple(sorted(catalogue().values(), key=lambda effect: (effect.stage, effect.rank, effect.name))))
 
 
 def __getattr__(name: str) -> Any:
-    """A runner of the kernel of now; machine code finds it here when it is compiled."""
+    """A runner of the current kernel; compiled code looks it up here."""
     if name not in RUNNERS and name != "balance":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return current().functions[name]
@@ -135,7 +135,7 @@ def _options(effect: Effect) -> dict[str, float]:
 
 
 def _text(effects: Sequence[type[Effect]]) -> str:
-    """Digest of the files in which the laws and their frame are written."""
+    """Digest of the source files of the laws and of the kernel."""
     digest, frame = hashlib.sha256(), ("kernel.py", "law.py", "machine_code.py", "rows.py")
     files = {inspect.getsourcefile(effect) or effect.__module__ for effect in effects}
     for file in sorted(files | {str(Path(__file__).with_name(name)) for name in frame}):
@@ -175,7 +175,7 @@ def _functions(effects: Sequence[type[Effect]], deep: Sequence[str]) -> dict[str
 
 
 def _switched(numbers: Sequence[int]) -> str:
-    """Text that asks whether any of these effects is on."""
+    """Source text of the test whether any of these effects is on."""
     words: dict[int, int] = {}
     for number in numbers:
         words[number // BITS] = words.get(number // BITS, 0) | 1 << number % BITS

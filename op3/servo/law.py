@@ -1,4 +1,4 @@
-"""The laws of a geared servo as functions of numbers, which effects share and tests hold against closed forms.
+"""The laws of a geared servo as scalar functions, which effects share and tests compare with closed forms.
 
 SI units; torques are on the joint side of the gear. Equation numbers are those of Masuda & Takahashi, "Sim-to-Real
 Transfer of Compliant Bipedal Locomotion on Torque Sensor-Less Gear-Driven Humanoid" (2023).
@@ -11,21 +11,21 @@ import numpy as np
 from op3.servo.machine_code import scalar
 
 ROUNDING = 1e-9
-"""Share of a step that counts as zero, so that a latency of whole steps arrives between two steps."""
+"""Share of a step that counts as zero, so that a command with a latency of whole steps arrives between two steps."""
 
 CURRENT = 0
-"""Index of the target current in the lists of signals that can be late, lag or be lost."""
+"""Index of the target current in the lists of signals that can be delayed, lag or be lost."""
 
 GAUSSIAN, LORENTZ = 1, 2
-"""Places of these fades of static friction in their list, which an exponential begins."""
+"""Indices of these decays of static friction in their list, whose first is the exponential one."""
 
 TRACE = 1e-12
-"""Share of a torque that decides a direction only where the joint rests exactly."""
+"""Share of a torque by which the direction is chosen only if the joint is exactly at rest."""
 
 
 @scalar
 def clip(value, low, high):
-    """The value within bounds; what is not a number stays none, so that a simulation that diverged shows."""
+    """The value clipped to bounds; NaN remains NaN, so that a diverged simulation is detected."""
     if value < low:
         return low
     return high if value > high else value
@@ -33,7 +33,7 @@ def clip(value, low, high):
 
 @scalar
 def zones(motor_torque, load_torque, forward_efficiency, backward_efficiency):
-    """Whether the motor drives, else whether the load does, paper eq. (3); neither where they hold each other."""
+    """Whether the motor drives, else whether the load does, paper eq. (3); neither if they hold each other."""
     forward = np.sign(forward_efficiency * motor_torque + load_torque) == np.sign(motor_torque)
     backward = np.sign(motor_torque + backward_efficiency * load_torque) == np.sign(load_torque)
     return forward, backward
@@ -71,8 +71,8 @@ def motor_leads(motor_torque, load_torque):
 def dte_passive_loss(motor_torque, load_torque, forward_efficiency, backward_efficiency):
     """Bound [N m] on a friction that loses what eq. (3) loses but always opposes motion.
 
-    As a friction it can stop the joint and never push it; the antagonistic zone of eq. (3) is reproduced exactly: a
-    hold slips at ``|tau_m| = eta_bw |tau_a|``. Arguments as for `dte_brake`.
+    As a friction it can stop the joint but never push it. It reproduces the antagonistic zone of eq. (3) exactly: a
+    held joint slips at ``|tau_m| = eta_bw |tau_a|``. Arguments as for `dte_brake`.
     """
     if motor_leads(motor_torque, load_torque):
         return (1.0 - forward_efficiency) * abs(motor_torque)
@@ -84,7 +84,7 @@ def dte_power_loss(motor_torque, load_torque, direction, forward_efficiency, bac
     """Bound [N m] on a friction that loses by the direction of power: torque arrives as eta_fw or as 1 / eta_bw.
 
     Mesh efficiency of Pelchen, Schweiger & Otter (2002), constant over speed. `direction` has the sign of the motion;
-    where it is zero the stronger torque says which. The others are those of `dte_brake`.
+    if it is zero, the larger torque decides. The other arguments are those of `dte_brake`.
     """
     power = motor_torque * (direction + TRACE * (motor_torque + load_torque))
     if power < 0:
@@ -110,7 +110,7 @@ def stribeck_fade(speed, stribeck_velocity, form):
 def lifted_voltage(voltage, bus_voltage, lift, fade):
     """Voltage [V] of a driver that adds to small duties: ``V + V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1)))``.
 
-    The lift d0 and d1, over which it sets in, are duties; the bus voltage bounds the whole.
+    d0 is the added duty, and d1 the duty over which it sets in; the result is limited to the bus voltage.
     """
     raised = voltage + np.sign(voltage) * bus_voltage * lift * -expm1(-abs(voltage) / (bus_voltage * fade))
     return clip(raised, -bus_voltage, bus_voltage)
@@ -140,7 +140,7 @@ def antagonistic_friction(motor_torque, load_torque, motor_square, load_square):
 
 @scalar
 def acted(age, phase, steps, steps_per_tick):
-    """Share of a step during which a command of this age has been there, when commands arrive late.
+    """Share of a step during which a delayed command of this age acts.
 
     A command issued at tick k acts from ``k * period + latency`` for one period. A step that straddles an arrival sees
     both commands in proportion to time, which is linear interpolation on the time grid: latency is a continuous

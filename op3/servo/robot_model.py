@@ -22,7 +22,7 @@ class Estimate:
         high: upper end of the interval.
         joints: value per joint name, where it differs.
         intervals: low and high ends of these, by joint name, where data have bounded them.
-        by: estimates that hold for logs of one condition only, see `op3.servo.conditions`.
+        by: estimates for logs of one condition only, see `op3.servo.conditions`.
     """
 
     value: float
@@ -70,7 +70,7 @@ class RobotModel:
 
     @property
     def stiff(self) -> bool:
-        """Whether longer steps than usual would spoil an effect that is on."""
+        """Whether an effect that is on needs steps of the usual length or shorter."""
         return any(effect.stiff for effect in self.effects)
 
     def parameters(self) -> dict[str, Parameter]:
@@ -103,10 +103,10 @@ class RobotModel:
         return shared.by.get(condition, shared)
 
     def under(self, metadata: Mapping[str, Any]) -> "RobotModel":
-        """This model for a log with these metadata, by field: conditional values that apply become shared.
+        """This model for a log with these metadata, by field: applicable conditional values replace the shared ones.
 
         Raises:
-            ValueError: if a condition names a field that there is not.
+            ValueError: if a condition names an unknown field.
         """
         held = {
             name: special
@@ -155,7 +155,7 @@ class RobotModel:
         return self.with_values(kept)
 
     def for_joints(self, name: str, values: Tensor, joints: Sequence[str]) -> Tensor:
-        """The value of each joint for another shared value of a parameter.
+        """The value of each joint for another shared value of a parameter, ``[candidate, joint]``.
 
         A joint with a separate value keeps its ratio to the shared one, since servos differ by ratios; a joint without
         the effect stays without it. If the shared value is zero or changes sign, the joint keeps its difference.
@@ -164,7 +164,7 @@ class RobotModel:
             values: shared ones, ``[candidate]``.
 
         Returns:
-            ``[candidate, joint]``, or the values as they are where no joint has its own.
+            ``[candidate, joint]``, or the unchanged values if no joint has a separate one.
         """
         estimate = self.estimate(name)
         if not estimate.joints:
@@ -179,12 +179,12 @@ class RobotModel:
         return torch.stack(columns, dim=1)
 
     def with_effect(self, effect: Effect, values: Mapping[str, float | Estimate] | None = None) -> "RobotModel":
-        """This model with one more effect, or with this one in place of its namesake."""
+        """This model with one more effect, which replaces one of the same name."""
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect)).with_values(values or {})
 
     def without(self, *names: str) -> "RobotModel":
-        """This model with effects off, their parameters forgotten."""
+        """This model without these effects and their parameters."""
         gone = {p.name for name in names for p in self.effect(name).parameters}
         return replace(
             self,

@@ -1,7 +1,8 @@
-"""The law over ``[sim, joint]``: what Python calls.
+"""The law over ``[sim, joint]``: the functions that Python calls.
 
-Everywhere ``s`` are the signals and memory, ``[sim, joint]``; ``p`` the parameters, ``[sim | 1, joint]``; ``past`` the
-deeper memory of effects that have one, ``[sim, joint, effect, number]``; and ``on`` the bits of effects that are on.
+In all functions ``s`` are the signals and memory, ``[sim, joint]``; ``p`` the parameters, ``[sim | 1, joint]``;
+``past`` the deeper memory of effects that have one, ``[sim, joint, effect, number]``; and ``on`` the bits of effects
+that are on.
 """
 
 from op3.servo import kernel
@@ -83,7 +84,7 @@ def report(one, p, on):
 
 @part
 def sum_of_currents(s):
-    """Without signs [A]."""
+    """Sum of the absolute currents [A]."""
     drawn = 0.0
     for j in range(len(s)):
         drawn += abs(s[j].current)
@@ -100,7 +101,7 @@ def prepare_all(p, on):
 
 @entry
 def reset_all(s, p, past, on, rows):
-    """Restart simulations: those whose indices are given."""
+    """Restart the simulations with these indices."""
     for i in rows:
         reset_robot(s[i], p[min(i, len(p) - 1)], past[i], on)
 

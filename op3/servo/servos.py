@@ -17,7 +17,7 @@ from op3.servo.signals import SIGNALS, Periods, Trunk
 class Signals:
     """The signals of `op3.servo.signals.SIGNALS`, and the memory of effects, as tensors ``[sim, joint]``.
 
-    An attribute is a view of what the law works on; assigning to one writes there, broadcast.
+    Attributes are views of the law's memory; an assignment writes to that memory, with broadcasting.
 
     Args:
         records: signals of the joints, ``[sim, joint]``.
@@ -132,9 +132,9 @@ class Servos:
         """Deflect elastic elements, from the link to the motor, so that joints move as measured.
 
         Args:
-            torque: by which the torque of the last step exceeds what the measured motion asks for [N m],
+            torque: excess of the last step's torque over that of the measured motion [N m],
                 ``[sim, joint]``.
-            rests: where joints rest: there all is in balance.
+            rests: which joints rest, and are therefore in balance.
         """
         rows.balance_all(self.records, self.parameters, torque.numpy(), rests.numpy(), self.on)
 

@@ -9,51 +9,51 @@ SIGNALS = {
     "position": "of the joint [rad]",
     "velocity": "of the joint [rad/s]",
     "load_torque": "tau_a [N m]",
-    "radial_force": "across the output shaft [N]; filled only where an effect reads it",
+    "radial_force": "across the output shaft [N]; filled only if an effect reads it",
     # commands, held until the next tick
     "position_target": "[rad]",
     "p_gain": "[A/rad]",
     "d_gain": "[A s/rad]",
     "firmware_gain": "kp of the servo's own position loop [firmware units]",
     "torque_enable": "1 or 0",
-    "packet": "whether that of this tick arrived, where it is known: 1, -1 where it was lost; 0 elsewhere",
+    "packet": "whether this tick's packet arrived: 1, or -1 if it was lost; 0 if unknown",
     "bus_voltage": "[V]",
-    "temperature": "of the servo, as it measures it [C]",
+    "temperature": "measured by the servo [C]",
     # clocks
     "time": "since the start [s]",
     "phase": "simulation steps since the last tick",
-    # sensing stage: what the servo's encoder says
+    # sensing stage: readings of the servo's encoder
     "measured_position": "[rad]",
     "measured_velocity": "[rad/s]",
-    # what reaches the servo, and what its driver applies
+    # the command that reaches the servo, and the output of its driver
     "target_current": "[A]",
-    "ahead": "by how much the current wanted at the end of a step exceeds its mean over the step [A]",
-    "since": "share of the step for which the command at its end has acted",
+    "ahead": "commanded current at the end of a step minus its mean over the step [A]",
+    "since": "share of the step in which the last command acts",
     "goal": "of the servo's own position loop [rad]",
-    "duty": "what the PWM register says, -1 to 1",
+    "duty": "value of the PWM register, -1 to 1",
     "voltage": "[V]",
-    "drawn": "sum of the currents of all servos of the robot in the last step, without signs [A]",
-    "supply_resistance": "by which the bus voltage of this step falls with the currents of this step [ohm]",
+    "drawn": "sum of the absolute currents of all servos of the robot in the last step [A]",
+    "supply_resistance": "fall of the bus voltage with the currents of the same step [ohm]",
     # motor stage
-    "torque_constant_factor": "by which the motor's constant differs now",
-    "resistance_factor": "by which its resistance differs now",
+    "torque_constant_factor": "present value relative to the parameter",
+    "resistance_factor": "present value relative to the parameter",
     "current": "[A]",
     "motor_torque": "tau_m at the old velocity [N m]",
-    "measured_current": "what the servo says of it [A]; filled when sensors are read for a log",
+    "measured_current": "reported by the servo [A]; filled when sensors are read for a log",
     # friction stage
     "speed": "|velocity| [rad/s]",
-    "fade": "share of the friction near rest that is left at this speed; 1 without a Stribeck effect",
+    "fade": "share of the friction near rest that remains at this speed; 1 without a Stribeck effect",
     # to the physics
     "applied_torque": "at the old velocity [N m]",
     "damping": "minus its derivative by velocity, to be integrated implicitly [N m s/rad]",
     "friction_bound": "[N m]",
-    # the joint's own, where an effect puts others in their place during a step
+    # the joint's own values, while an effect replaces them during a step
     "link_position": "[rad]",
     "link_velocity": "[rad/s]",
     "true_load": "[N m]",
     "open_voltage": "[V]",
     "asked_current": "[A]",
-    # a rotor that is a body of its own: its velocity after a step is ``rotor_velocity + rotor_gain * velocity``
+    # a rotor that is a separate body: its velocity after a step is ``rotor_velocity + rotor_gain * velocity``
     "rotor_angle": "before the step [rad]",
     "rotor_velocity": "[rad/s]",
     "rotor_gain": "-",
@@ -61,7 +61,7 @@ SIGNALS = {
     "rotor_torque": "on it in the last step [N m]",
     "contact_torque": "between it and the link in the last step [N m]",
 }
-"""What flows through the servo law, of each joint: the fields of ``s`` in the functions of an effect.
+"""Signals of the servo law by joint: the fields of ``s`` in the functions of an effect.
 
 The simulation fills the inputs, the effects fill the rest in the order of their stages, and the simulation hands
 torque, damping and friction to the physics."""

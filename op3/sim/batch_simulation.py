@@ -66,7 +66,7 @@ class BatchSimulation:
         fresh_start(self.signals, model)
         self.failed = torch.zeros(num_sims, dtype=torch.bool)
         self.on_step: Callable[[], None] | None = None
-        """Called after every step of the physics; who looks for peaks looks here."""
+        """Called after every physics step, for example to detect peaks."""
         self._bind()
         self.set_parameters({})
 
@@ -170,7 +170,7 @@ class BatchSimulation:
         set_commands(self.signals, commands)
 
     def push(self, torque: np.ndarray) -> None:
-        """Torque on the links, which their servos feel as load, held until the next call or reset.
+        """Torque on the links, which acts on their servos as load, held until the next call or reset.
 
         Args:
             torque: [N m], ``[sim, joint]``.

@@ -1,6 +1,6 @@
-"""Objects of one kind in processes of their own, each of which does a part of the work.
+"""Objects of one kind in separate processes, each of which does a part of the work.
 
-The simulations of a batch leave processors idle between the steps of the physics; two halves of it side by side do not.
+A batch of simulations leaves processors idle between physics steps; two halves in parallel do not.
 """
 
 import multiprocessing
@@ -23,7 +23,8 @@ def processors() -> int:
 
 
 class Crew(Generic[T]):
-    """An object here, `worker`, and others elsewhere, which start with the first work and end with this process.
+    """An object in this process, `worker`, and others in processes that start with the first work and end with this
+    one.
 
     Args:
         make: makes the object; a function or class of a module, which is called in each process.
@@ -63,13 +64,13 @@ class Crew(Generic[T]):
         except BrokenProcessPool as error:
             self._others = None
             raise ChildProcessError(
-                "a worker process has ended, which happens when memory runs out; the same command goes"
-                " on, with processes=1 in this process alone"
+                "a worker process has ended, usually because memory ran out; run the same command"
+                " again to continue, with processes=1 if memory is short"
             ) from error
 
 
 _here: dict[str, Any] = {}
-"""This process's object, and before the first part how it is made, where it is one of a crew."""
+"""The object of a worker process, and before the first part the function that makes it."""
 
 
 def _begin(recipe: bytes) -> None:
@@ -79,7 +80,7 @@ def _begin(recipe: bytes) -> None:
 
 
 def _follow() -> None:
-    """End with the process that asks, however that ends."""
+    """End with the parent process, however that ends."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

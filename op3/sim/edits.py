@@ -1,4 +1,4 @@
-"""Carries out what effects declare about the MuJoCo model."""
+"""Applies the changes of the MuJoCo model that effects declare."""
 
 from collections.abc import Mapping, Sequence
 from operator import attrgetter

@@ -1,4 +1,4 @@
-"""What servos and MuJoCo tell each other in every step, without a copy in between.
+"""Exchange of data between servos and MuJoCo in every step, without copies.
 
 Arrays are MuJoCo's own, ``[sim, ...]``; ``at`` is `op3.sim.ServoPorts.table`.
 """
@@ -12,7 +12,7 @@ from op3.servo.machine_code import entry
 def read(s, at, forces, qpos, qvel, sensordata, applied):
     """Joint state, what the outputs transmitted, and `forces` if asked for, into the signals ``[sim, joint]``.
 
-    What the sensors find in a joint is the servo's and what is `applied` beside it; that is a load on the servo.
+    The sensors measure the servo's torque and the torque `applied` in addition, which is a load on the servo.
     """
     for i in range(s.shape[0]):
         for j in range(s.shape[1]):
@@ -33,7 +33,7 @@ def hand_over(s, at, timestep, rotor, ctrl, armature, friction, failed):
         s: signals, ``[sim, joint]``.
         timestep: h [s].
         rotor: the rotors' own inertia [kg m^2], ``[sim, joint]``.
-        failed: ``[sim]``, set where what is handed over is no finite number.
+        failed: ``[sim]``, set if a value is not finite.
     """
     for i in range(s.shape[0]):
         for j in range(s.shape[1]):

@@ -1,4 +1,4 @@
-"""Models of other simulators: what of a model MuJoCo and BAM can express, and parameters of BAM and PACE as a model.
+"""Models of other simulators: conversion of a model to MuJoCo and BAM, and of BAM's and PACE's parameters to a model.
 
 BAM is Rhoban's library of servo models (github.com/Rhoban/bam); its JSON has one servo's parameters at the output.
 PACE identifies joints in Isaac Lab (github.com/leggedrobotics/pace-sim2real); its runs have `mean_<iteration>.pt`.
@@ -56,11 +56,11 @@ _BAM: Mapping[str, Mapping[str, str]] = {
 """BAM's names of parameters, by effect."""
 
 _FADES = {1.0: "exponential", 2.0: "gaussian"}
-"""Form in which friction fades from rest, by BAM's exponent."""
+"""Form of the decay of friction with speed, by BAM's exponent."""
 
 
 def expressed(model: RobotModel, to: str) -> tuple[RobotModel, tuple[str, ...]]:
-    """What of a model a format can express, and the effects that it cannot.
+    """The part of a model that a format can express, and the effects that it cannot.
 
     Args:
         model: of any effects.
@@ -75,11 +75,11 @@ def to_bam(model: RobotModel, servo: str, joint: str) -> dict[str, Any]:
 
     Args:
         model: of a servo that closes its position loop itself.
-        servo: what BAM calls it.
-        joint: whose values are taken where joints differ.
+        servo: BAM's name of it.
+        joint: joint whose values are taken if joints differ.
 
     Raises:
-        ValueError: if the servo obeys currents, which BAM has no law for.
+        ValueError: if the servo is current-controlled, for which BAM has no law.
     """
     if "position_servo" not in model.effect_names:
         raise ValueError("to=bam: BAM models servos that close their position loop themselves; write to=mjcf")
@@ -133,7 +133,7 @@ def from_bam(content: Mapping[str, Any]) -> RobotModel:
 
 
 def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
-    """A robot's drive with what PACE found: armature, viscous and Coulomb friction and zeros by joint, and a delay.
+    """A robot's drive with PACE's results: armature, viscous and Coulomb friction and zeros by joint, and a delay.
 
     PACE counts the delay in steps of its simulator, which are those of the data in its `config.pt`.
 
@@ -184,7 +184,7 @@ def to_mjcf(model: RobotModel, robot: Robot, p_gain: float | None = None, d_gain
         d_gain: the same [A s/rad].
 
     Raises:
-        ValueError: if the servos obey currents and no gain is given.
+        ValueError: if the servos are current-controlled and no gain is given.
     """
     model, _ = expressed(model, "mjcf")
     values = {name: np.broadcast_to(v[0].numpy(), len(robot.joints)) for name, v in model.tensors(robot.joints).items()}

@@ -1,4 +1,4 @@
-"""Robots and benches whose base is held: their dynamics along a measured motion, and what edits of bodies add."""
+"""Robots and benches whose base is held: their dynamics along a measured motion, and contributions of edited bodies."""
 
 import copy
 from collections.abc import Sequence

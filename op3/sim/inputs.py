@@ -1,4 +1,4 @@
-"""What callers hand to a simulation: commands, and parameter values per simulation and joint."""
+"""Inputs of a simulation: commands, and parameter values per simulation and joint."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enab
 """Inputs of the servo law that are held between ticks."""
 
 REFERENCE_TEMPERATURE = 25.0
-"""Temperature assumed where none is measured [C]: a model's parameters hold at it."""
+"""Temperature assumed if none is measured [C]; a model's parameters are valid at it."""
 
 
 def steps_in(period: float, timestep: float) -> int:

@@ -2,7 +2,7 @@
 
 A pendulum on one hinge needs no constraint solver: friction is a bound on an impulse that may stop the joint and
 never reverse it. It steps an order of magnitude faster than one MuJoCo model per run, which pays when a fit simulates
-thousands of bench runs. The servo law is the same; `tests/sim/test_pendulum_simulation.py` holds it against MuJoCo.
+thousands of bench runs. The servo law is the same; `tests/sim/test_pendulum_simulation.py` compares it with MuJoCo.
 """
 
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ class PendulumSimulation:
             ticks every `op3.common.settings.CONTROL_PERIOD`.
 
     Raises:
-        ValueError: if the model has an effect that changes what a bench does not have.
+        ValueError: if the model has an effect on a part that a bench does not have.
     """
 
     joint_names = ("servo",)
@@ -107,7 +107,7 @@ class PendulumSimulation:
         self._steps += 1
 
     def measure(self) -> dict[tuple[str, str], Tensor]:
-        """What the servo's sensors say now: channels of the log, ``[sim, 1]``."""
+        """Current readings of the servo's sensors: channels of the log, ``[sim, 1]``."""
         channels, signals = readings(self.law), self.signals
         self.failed |= ~(torch.isfinite(signals.position) & (signals.position.abs() < 1e3))[:, 0]
         return {**channels, ("joint", "duty"): signals.duty * signals.torque_enable}
@@ -115,7 +115,7 @@ class PendulumSimulation:
 
 @entry
 def swing(s, body, step):
-    """Integrate a step under what the law handed over.
+    """Integrate a step with the outputs of the law.
 
     Args:
         s: signals, ``[sim, 1]``.

@@ -1,4 +1,4 @@
-"""Where servos plug into a MuJoCo model: actuators and sensors added to hinges, and their addresses."""
+"""Ports of servos in a MuJoCo model: actuators and sensors added to hinges, and their addresses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -106,7 +106,7 @@ def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
 
 
 def _check_hinge(model: mujoco.MjModel, joint: int, name: str) -> None:
-    """A default class may have made the joint another than its element says; only the compiled model tells."""
+    """Check the compiled joint, because a default class may change the properties of its element."""
     if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
         raise ValueError(f"a servo attaches to a hinge, but the compiled joint {name!r} is not one")
     site = model.site(f"{name}_output")

@@ -1,4 +1,4 @@
-"""A model to start from for any robot: what its servos' makes say of them, and guesses where they say nothing."""
+"""An initial model for any robot: values of its servo makes, and guesses for missing ones."""
 
 from __future__ import annotations
 

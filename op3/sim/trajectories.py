@@ -1,4 +1,4 @@
-"""What a robot with a fixed base asks of its servos along a trajectory: mass matrix, bias, and how the bias changes.
+"""Dynamics of a robot with a fixed base along a trajectory: mass matrix, bias, and derivatives of the bias.
 
 Computed by MuJoCo once per tick of a measured motion; `op3.sim.WindowSimulation` then simulates around that motion
 without MuJoCo in the loop.
@@ -58,7 +58,7 @@ def trajectory_dynamics(
         velocity: their velocities [rad/s], ``[tick, joint]``.
         qpos: full position in which the other joints are held, ``[nq]``.
         base: number of the body that carries the limbs.
-        radial_force: whether to compute the radial force, which costs a pass more.
+        radial_force: whether to compute the radial force, which needs a further pass.
         derivatives: whether to compute gradient and damping; zero otherwise.
 
     Raises:
@@ -136,7 +136,8 @@ def trajectory_dynamics(
 def _carried(axes: np.ndarray, inertia: np.ndarray, arm: np.ndarray) -> np.ndarray:
     """Torque of joints per angular acceleration of their base in the world's axes, ``[tick, joint, 3]``.
 
-    What hangs on a joint is one body of composite inertia (Featherstone 2008, chapter 6), which is taken along.
+    The bodies after a joint form one body of composite inertia (Featherstone 2008, chapter 6), accelerated with the
+    base.
 
     Args:
         axes: of the joints, as spatial vectors about one point, ``[tick, joint, 6]``.

@@ -1,4 +1,4 @@
-"""What the sensors of servos and trunk say, and where the trunk's attitude stands in MuJoCo's state."""
+"""Readings of the sensors of servos and trunk, and addresses of the trunk's attitude in MuJoCo's state."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ class BaseBody:
 
 
 def readings(law: Servos, trunk: Trunk | None = None) -> dict[tuple[str, str], Tensor]:
-    """What the servos' and the trunk's sensors say now: channels of the log, ``[sim, joint | 3]``."""
+    """Current readings of the servos' and the trunk's sensors: channels of the log, ``[sim, joint | 3]``."""
     law.report()
     signals = law.signals
     channels = {

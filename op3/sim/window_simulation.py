@@ -1,8 +1,8 @@
 """Short simulations around a measured motion: many hypotheses, many windows, no MuJoCo in the loop.
 
-A robot on a stand that is simulated from its own measured state for a fifth of a second stays close to what was
-measured. So the mass matrix and the bias are computed once along the measured motion, and each window solves, per step
-``h`` and with the one servo law,
+A robot on a stand that is simulated from its measured state for a fifth of a second stays close to the measurement. The
+mass matrix and the bias are therefore computed once along the measured motion, and each window solves, per step ``h``
+and with the one servo law,
 
 ``(M + armature + h D) (w' - w) = h (tau - bias - friction)``,  friction in [-bound, bound], opposing w',
 
@@ -32,7 +32,7 @@ from op3.sim.trajectories import TrajectoryDynamics
 from op3.sim.window_steps import INPUTS, MOTION, SLOTS, STATE, coupled, simulate
 
 ZERO = EncoderOffset.parameters[0].name
-"""The dynamics are differentiated by this parameter where a joint's true angle differs from its reading."""
+"""The dynamics are differentiated by this parameter if a joint's true angle differs from its reading."""
 
 MISREADING = (EncoderOffset.name, EncoderNonlinearity.name)
 """Effects that cause such a difference."""
@@ -48,10 +48,10 @@ class MeasuredMotion:
         velocity: estimate of the joint velocities [rad/s].
         acceleration: estimate of the joint accelerations [rad/s2].
         read_position: what the controller read [rad]; NaN where the loop is closed in the servo, on what it senses.
-        read_velocity: what the controller read [rad/s].
+        read_velocity: velocity as the controller read it [rad/s].
         current: in the motors, as far as known [A].
         time: since the start of the recording [s], ``[tick, 1]``.
-        inputs: what drives the servos, by the name of a signal; held from tick to tick.
+        inputs: inputs of the servos, by the name of a signal; held from tick to tick.
         dynamics: mass matrix and bias along the motion.
         changes: dynamics added per unit of a parameter beyond its neutral value, by parameter name and joint (None for
             a parameter of the whole robot): of what edits bodies, each in an otherwise sound robot, so that products
@@ -76,7 +76,7 @@ class MeasuredMotion:
 
 @dataclass(frozen=True)
 class Window:
-    """Where a window starts.
+    """Start of a window.
 
     Attributes:
         motion: which motion.
@@ -91,15 +91,15 @@ class WindowSimulation:
     """Simulates windows of measured motions for many parameter sets at once.
 
     Controllers on the computer receive the measured readings, not the simulated ones: their commands are those that
-    were sent. Before each window, for `preroll` ticks, the joints are led along the measured motion, so that
-    whatever has memory (latency, filters, contacts) starts from the data.
+    were sent. Before each window, for `preroll` ticks, the joints are guided along the measured motion, so that states
+    with memory (latency, filters, contacts) start from the data.
 
     Args:
         motions: all with the same period and joints.
         windows: where the windows start; `preroll` ticks must lie before, `ticks` behind.
         joints: joint names, by which the model's per-joint values address the columns.
         timestep: of the simulation [s]; must divide the period.
-        preroll: ticks for which the joints are led.
+        preroll: ticks for which the joints are guided.
         dtype: of the results; the simulation is in double precision.
 
     Raises:
@@ -152,7 +152,7 @@ class WindowSimulation:
         self._edits: dict[tuple, np.ndarray] = {}
 
     def under(self, model: RobotModel) -> WindowSimulation:
-        """The same windows under another model; what was gathered is shared."""
+        """The same windows under another model, with shared data."""
         other = copy.copy(self)
         other.model = model
         return other
@@ -213,8 +213,8 @@ class WindowSimulation:
         """Edits of bodies that differ from the dynamics along the motions, and where joints may be misread.
 
         Returns:
-            Dynamics per unit ``[edit, row, entry]``, weights ``[candidate, edit]``, and the edit that tells of a joint
-            that stands elsewhere than it is read, ``[joint]``, or -1.
+            Dynamics per unit ``[edit, row, entry]``, weights ``[candidate, edit]``, and the edit for the encoder offset
+            of each joint, ``[joint]``, or -1.
         """
         known, acting = self.model.parameters(), []
         for name, joint in sorted(self._apart[0].changes, key=str):
@@ -245,7 +245,7 @@ class WindowSimulation:
 
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that stay: a run is short, and to start them costs a tenth of it."""
+    """Persistent threads: starting them would take a tenth of a run."""
     return ThreadPoolExecutor(threads)
 
 
@@ -266,7 +266,7 @@ def _packed(motion: MeasuredMotion) -> np.ndarray:
 
 
 def _begins(lengths: Sequence[int]) -> np.ndarray:
-    """Where each part begins in all of them together."""
+    """Index at which each part begins in their concatenation."""
     return np.cumsum([0, *lengths])[:-1]
 
 

@@ -1,8 +1,8 @@
 """Windows of `op3.sim.WindowSimulation` from their lead to their end, each in one go.
 
-Everywhere ``motion`` are measured states and commands, ``[row, joint]`` of `MOTION`; ``along`` the dynamics at these
-rows, ``[row, entry]`` with mass matrix, bias and gradient of the bias behind one another; ``here`` and ``there`` those
-of one candidate at a tick and the next; ``work`` rooms ``[SLOTS, joint]`` of a window.
+In all functions ``motion`` are measured states and commands, ``[row, joint]`` of `MOTION`; ``along`` the dynamics at
+these rows, ``[row, entry]`` with mass matrix, bias and gradient of the bias behind one another; ``here`` and ``there``
+those of one candidate at a tick and the next; ``work`` rooms ``[SLOTS, joint]`` of a window.
 """
 
 from math import copysign
@@ -26,7 +26,7 @@ SWEEPS = 3
 """Sweeps over the joints per step."""
 
 REST = 0.03
-"""Speed below which a measured joint is taken to rest [rad/s]; half of it is the noise of its estimate."""
+"""Speed below which a measured joint counts as resting [rad/s]; half of it is the noise of the estimate."""
 
 SHIFT, ACCOUNTED, AWAY, FASTER, CHANGE, TOTAL, FORCE, BOUND, OWN, SPEED, ACCELERATION, ROOMS = range(12)
 SLOTS = ROOMS + 2
@@ -36,7 +36,7 @@ distance from the measurement; change of velocity; unknowns of a step; accelerat
 
 @part
 def copied(source, target):
-    """The same numbers elsewhere."""
+    """A copy of the numbers."""
     for e in range(len(target)):
         target[e] = source[e]
 
@@ -54,7 +54,7 @@ def mix(along, edits, weights, row, out):
 
 @part
 def command(s, motion):
-    """What drives the servos from this row on, ``[joint]``."""
+    """Inputs of the servos from this row on, ``[joint]``."""
     for j in range(len(s)):
         one, now = s[j], motion[j]
         one.position_target, one.p_gain, one.d_gain = now.position_target, now.p_gain, now.d_gain
@@ -100,7 +100,7 @@ def begin(s, p, on, motion, misread, weights, work, row, supply_resistance):
 
 @part
 def let_go(s, p, on, motion, here, work, row, offset, step):
-    """The window begins: what rests is in balance, and initial states are off by what a candidate asks for.
+    """Begin the window: resting joints are in balance, and initial states have a candidate's offsets.
 
     Args:
         offset: of position and velocity, ``[2, joint]``.
@@ -124,10 +124,10 @@ def let_go(s, p, on, motion, here, work, row, offset, step):
 
 @part
 def move(s, p, now, then, here, there, damping, share, limbs, matrix, work, step):
-    """Step all joints under what the law hands over.
+    """Step all joints with the outputs of the law.
 
     The bias changes, to first order, where a window has left the measurement; with velocities it does so at the end of
-    the step, else gyroscopic torques would throw about a foot that rattles in its play.
+    the step, otherwise gyroscopic torques would excite a foot that rattles in its backlash.
 
     Args:
         now, then: the measured motion at this tick and the next.
@@ -261,7 +261,7 @@ def simulate(
         starts, dynamics_starts: rows at which the lead of each window begins, ``[window]``.
         edits: dynamics that edits of bodies add per unit, ``[edit, row, entry]``.
         weights: of these, ``[candidate, edit]``.
-        misread: which edit tells of a joint that stands elsewhere than it is read, ``[joint]``, or -1.
+        misread: edit for the encoder offset of each joint, ``[joint]``, or -1.
         offsets: of initial position and velocity, ``[candidate, 2, joint]``.
         limbs: see `coupled`.
         here, there, row_weights, matrix, work: rooms.

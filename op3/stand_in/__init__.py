@@ -1,4 +1,4 @@
-"""Robots whose truth is hidden: an independent physics behind noisy, quantised sensors."""
+"""Robots with hidden parameters: independent physics behind noisy, quantised sensors."""
 
 from op3.stand_in.cases import Case, draw_case, make_case, open_answers, record_case, seal
 from op3.stand_in.hidden import CATALOGUE, KINDS, OUTSIDERS, SEVERITIES, Hidden

@@ -235,7 +235,7 @@ def limb_model(model: mujoco.MjModel, elastic: bool = False) -> tuple[pinocchio.
 
 
 def change_body(model: mujoco.MjModel, body: int, effect: Hidden) -> None:
-    """What an effect changes in a link."""
+    """Apply an effect to a link."""
     size = effect.size
     if effect.name == "link_com":
         model.body_ipos[body, 0] += size
@@ -311,7 +311,7 @@ class Floor:
             raise FloatingPointError
 
     def trunk(self) -> tuple[Array, Array, Array]:
-        """What an IMU without errors says; as of `Limbs`."""
+        """Readings of an IMU without errors; see `Limbs`."""
         assert self._imu is not None
         attitude, gyro, force = self._imu
         said = self.data.sensordata

@@ -51,7 +51,7 @@ LESS_SHARE = 0.3
 that the base model does not give the answer away."""
 
 MIRROR_SHARE = 0.25
-"""Share of effects of single joints that sit in a joint and its mirror partner alike."""
+"""Share of effects of single joints that are in a joint and its mirror partner."""
 
 LOADED = 0.08
 """A joint that gravity can load with at least this torque counts as loaded [N m]."""
@@ -60,7 +60,7 @@ PAUSE = 6.0
 """Time between runs [s]."""
 
 WARM_UP = 240.0
-"""How long the robot works before its warm runs [s]."""
+"""Time for which the robot works before its warm runs [s]."""
 
 MORNING = datetime.datetime(2026, 1, 15, 9, 0)
 """When the first run begins."""
@@ -71,7 +71,7 @@ Places = Mapping[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Case:
-    """What is hidden in one case, and what the diagnosis is handed.
+    """The hidden effects of one case, and the inputs of its diagnosis.
 
     Attributes:
         name: of the case's folder; tells nothing.
@@ -178,7 +178,7 @@ def _without(world: HiddenWorld, missing: str | None, hidden: dict[str, Hidden])
 
 
 def _names(rng: np.random.Generator, kind: str, effect: str | None, bases: Mapping[str, str]) -> tuple[str, ...]:
-    """What is hidden, by name; what base models lack can be hidden only where there are such base models."""
+    """Effects that can be hidden, by name; effects missing in base models only if there are such base models."""
     if kind == "null":
         return ()
     catalogue = [name for name in CATALOGUE if name in bases or name not in BASES]
@@ -369,7 +369,7 @@ def open_answers(answers: str | Path, commitment: str | Path | None = None) -> d
     sealed = {line[66:]: line[:64] for line in lines if line}
     found = {path.name: path.read_bytes() for path in sorted(answers.glob("*.yaml"))}
     for name in sorted(set(sealed) ^ set(found)):
-        raise ValueError(f"{name} is {'sealed but gone' if name in sealed else 'there but was never sealed'}")
+        raise ValueError(f"{name} is {'sealed but missing' if name in sealed else 'present but was never sealed'}")
     opened = {}
     for name, content in found.items():
         if hashlib.sha256(content).hexdigest() != sealed[name]:

@@ -1,4 +1,4 @@
-"""What can be hidden in a robot: names, units, sizes, places, from `kinds.yaml`."""
+"""Effects that can be hidden in a robot: names, units, sizes, joints, from `kinds.yaml`."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class HiddenServos:
         velocity: the servos' own estimates [joint] in rad/s.
 
     Args:
-        world: the truth.
+        world: the hidden parameters.
         hidden: what is hidden besides.
         joints: names [joint].
         makes: of the servos [joint]. A world's numbers are those of an XM430-W350, and of another make in proportion of
@@ -68,7 +68,7 @@ class HiddenServos:
         self.states["temperature"] = self.states["air"] = world.ambient_temperature
 
     def _fill(self, limits: Array) -> None:
-        """What the world alone says."""
+        """Parameters from the world only."""
         world, servos, robot = self.world, self.servos, self.robot
         joints = world.per_joint(len(servos))
         servos["constant"] = joints["torque_constant"]
@@ -134,7 +134,7 @@ class HiddenServos:
 
     @property
     def records(self) -> tuple[Records, Records, np.void]:
-        """What the kernel takes: parameters, states, and what is shared."""
+        """Arguments of the kernel: parameters, states, and shared values."""
         return self.servos, self.states, self.robot[0]
 
     @property
@@ -144,21 +144,21 @@ class HiddenServos:
 
     @property
     def reading(self) -> Array:
-        """What the current sensors read, without noise [joint] in A."""
+        """Readings of the current sensors, without noise [joint] in A."""
         return self.states["current"] + self.servos["current_offset"]
 
     @property
     def voltage(self) -> Array:
-        """What the servos get [joint] in V."""
+        """Voltage at the servos [joint] in V."""
         return self.robot["bus_voltage"] * self.servos["supply_share"]
 
     @property
     def encoders(self) -> Array:
-        """What the encoders say before rounding [joint] in rad."""
+        """Readings of the encoders before rounding [joint] in rad."""
         return encoders(self.servos, self.states["position"])
 
     def angles(self, reading: Array) -> Array:
-        """Where joints are whose encoders say `reading` [joint] in rad."""
+        """Angles of joints whose encoders read `reading` [joint] in rad."""
         position = reading
         for _ in range(6):
             position = position + reading - encoders(self.servos, position)
@@ -212,7 +212,7 @@ def _stop(effect: Hidden, near: Array) -> dict[str, Array | float]:
 
 
 def _written(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    """What an effect writes into the records of its servos; nothing for those of links, bus and world.
+    """Values that an effect writes into the records of its servos; none for effects of links, bus and world.
 
     Args:
         servos: parameters before it, records [joint].

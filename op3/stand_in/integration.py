@@ -1,10 +1,10 @@
-"""What one servo does in a fraction of a millisecond, in scalar code compiled by numba.
+"""One step of a servo, a fraction of a millisecond, in scalar code compiled by numba.
 
 The forms are chosen to differ from those that identification fits. The gear's loss follows the sign of the power
 instead of comparing torques. Friction is an elastic element that slides at a bound (Prandtl's element, the
 elasto-plastic limit of the LuGre bristle; Dupont et al. 2002, Hayward and Armstrong 2000), or LuGre's bristle itself
 (Canudas de Wit et al. 1995), instead of a constraint of the physics engine. A loose gear has a motor side with an angle
-of its own. Parameters and states of all servos are records, one per joint; what is zero is not there.
+of its own. Parameters and states of all servos are records, one per joint; a zero parameter switches its effect off.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def gear_ripple(p, torque: float, position: float) -> float:
 
 @njit(cache=True)
 def teeth(p, s) -> float:
-    """What a loose or soft gear passes on [N m]: nothing in the gap, no pull, an elastic push beside it."""
+    """Torque that a loose or soft gear transmits [N m]: nothing in the gap, no pull, an elastic push beside it."""
     twist = s.gear_position - s.position
     pressed = max(abs(twist) - p.half_gap, 0.0)
     # curved flanks are soft at first touch (Hertz) and as stiff as the plain form at 1 mrad
@@ -178,7 +178,7 @@ def teeth(p, s) -> float:
 
 @njit(cache=True)
 def link_torque(p, s, step: float, time: float) -> float:
-    """What acts on the joint itself [N m]: end stops, cables, obstacles, yielding elements, vibration."""
+    """Torque on the joint itself [N m]: end stops, cables, obstacles, yielding elements, vibration."""
     torque = s.noise
     if s.position < p.low or s.position > p.high:
         beyond = s.position - (p.low if s.position < p.low else p.high)
@@ -279,7 +279,7 @@ def step_limbs(servos, states, robot, index, mount, position, velocity, accelera
 
 @njit(cache=True)
 def encoder(p, position: float) -> float:
-    """What the encoder says before rounding [rad]."""
+    """Reading of the encoder before rounding [rad]."""
     if p.encoder_bend == 0:
         return position + p.encoder_offset
     bent = np.sin(position + p.encoder_phase) + 0.3 * np.sin(2 * (position + p.encoder_phase))
@@ -288,7 +288,7 @@ def encoder(p, position: float) -> float:
 
 @njit(cache=True)
 def encoders(servos, position) -> NDArray[np.float64]:
-    """What all encoders say before rounding [joint] in rad, of joints at `position`."""
+    """Readings of all encoders before rounding [joint] in rad, of joints at `position`."""
     said = np.empty(len(servos))
     for j in range(len(servos)):
         said[j] = encoder(servos[j], position[j])

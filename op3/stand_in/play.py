@@ -24,7 +24,7 @@ FALL_ANGLE = np.deg2rad(45)
 """A trunk that rolls or pitches further has fallen [rad]."""
 
 REST_TIME = 0.2
-"""How long a robot stands still before a recording starts [s]."""
+"""Time for which a robot stands still before a recording starts [s]."""
 
 PATIENCE = 3.0
 """Longest wait for that [s]; a servo may oscillate around a reading forever."""

@@ -1,4 +1,4 @@
-"""What a stand-in robot's sensors say: filtered, noisy and in whole units of the registers.
+"""Readings of a stand-in robot's sensors: filtered, noisy and in whole units of the registers.
 
 Units: XM430-W350 control table and OpenCR's IMU registers (ROBOTIS e-Manual).
 """

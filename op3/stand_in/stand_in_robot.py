@@ -1,4 +1,4 @@
-"""A robot whose truth is hidden: rigid bodies of a library, own servos, own sensors."""
+"""A robot with hidden parameters: rigid bodies of a library, separate models of servos and sensors."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -38,13 +38,13 @@ Array = NDArray[np.float64]
 
 
 class StandIn:
-    """A robot whose truth is hidden behind its sensors.
+    """A robot whose parameters are hidden behind its sensors.
 
     `play` records a motion as a computer on the robot would. Below it lies what a bus needs: `reset`,
     `write_current`, `drive`, `advance`, `read_sensors`.
 
     Args:
-        world: the truth.
+        world: the hidden parameters.
         scene: with the robot, without servos attached.
         seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
@@ -127,11 +127,11 @@ class StandIn:
 
     @property
     def world_id(self) -> str:
-        """Tells one world from another, and nothing else about it."""
+        """Id of the world, which reveals nothing else about it."""
         return self._world.identity
 
     def truth(self) -> dict[str, float | str | Array]:
-        """Every hidden number, for scorers and tests alone: scalars, and [joint] where servos differ."""
+        """All hidden parameters, only for scoring and tests: scalars, and [joint] if servos differ."""
         return {**dataclasses.asdict(self._world), **self._world.per_joint(len(self.joints))}
 
     def reset(
@@ -178,7 +178,7 @@ class StandIn:
             self._imu.reset(quaternion, -up.reshape(3, 3).T @ self._model.opt.gravity)
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on; its time counts from this call, or from a later reset.
+        """Set the motion of the ground; its time counts from this call, or from a later reset.
 
         Args:
             board: what moves the board of the scenes "board" and "board_weight"; None: nothing does.
@@ -229,12 +229,12 @@ class StandIn:
         self._arrivals.append((arrival, np.where(own, goal, goal.clip(-self._current_limit, self._current_limit))))
 
     def drive(self, enabled: ArrayLike, current: ArrayLike) -> None:
-        """Currents [joint] in A from now on; joints that are not enabled run free, with friction alone."""
+        """Set the currents [joint] in A; joints that are not enabled move freely, with friction only."""
         self.servos.states["enabled"] = enabled
         self.write_current(current)
 
     def send(self, current: ArrayLike) -> None:
-        """A command of the computer on the robot: in whole units, under way for a while, and lost at times."""
+        """A command of the robot's computer: in whole units, delayed, and sometimes lost."""
         world, rng = self._world, self._rng
         delay = world.command_latency + world.latency_jitter * float(rng.standard_normal())
         delay += next((effect.size for effect in self.hidden if effect.name == "latency"), 0.0)
@@ -250,7 +250,7 @@ class StandIn:
         self.write_current(quantise(np.asarray(current), unit), max(delay, last * world.timestep, 0.0))
 
     def wait(self, period: float) -> None:
-        """Let about a period pass [s], as a computer keeps time that is no real-time computer."""
+        """Let about a period pass [s], with the jitter of a computer without real-time scheduling."""
         jitter = self._world.sampling_jitter * min(max(self._rng.standard_normal(), -2.0), 2.0)
         self.advance(period + jitter - self._late)
         self._late = jitter

@@ -1,4 +1,4 @@
-"""What the bench's cases are recorded on: which robot, where it stands, and what it is asked to do."""
+"""Robots, scenes and motions of the bench's cases."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Setting:
     Attributes:
         scene: makes it.
         rich: runs that show what its servos hide, from a seed.
-        poor: runs with which many effects cannot be told apart.
+        poor: runs with which many effects cannot be distinguished.
         settle: how long the first target of a run is held before the recording starts [s].
         metadata: makes what its logs say besides the usual.
     """

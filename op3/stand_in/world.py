@@ -1,4 +1,4 @@
-"""A world: every number that makes a stand-in robot what it is, and that its logs never tell."""
+"""A world: the hidden parameters of a stand-in robot, which its logs do not contain."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def check_seed(what: str, seed: Any) -> None:
 
 @settings("world")
 class HiddenWorld:
-    """The truth of one robot and the ground it stands on.
+    """The hidden parameters of one robot and its ground.
 
-    The first eleven are the quantities of the paper's Table I. The rest is what no identification is told of.
+    The first eleven are the quantities of the paper's Table I. Identification does not know the others.
 
     Attributes:
         torque_constant: Kt at the motor shaft [N m/A].
@@ -89,7 +89,7 @@ class HiddenWorld:
         base_mass_offset: added to the trunk [kg].
         base_com_offset_x: shift of the trunk's centre of mass forwards [m].
         base_com_offset_z: shift of the trunk's centre of mass upwards [m].
-        stribeck_velocity: speed at which the excess fades [rad/s].
+        stribeck_velocity: speed scale of the decay of the excess [rad/s].
         bristle_stiffness: of the gear teeth and bearings before they slide [N m/rad].
         bristle_damping: of the same [N m s/rad].
         joint_spread: half width of the servo-to-servo spread of Kt, friction and resistance, as a ratio.
@@ -121,7 +121,7 @@ class HiddenWorld:
         mount_damping: its damping ratio.
         timestep: of the physics [s]; made a whole part of a millisecond.
         loss_form: how the gear loses torque.
-        fade_form: how static friction fades with speed.
+        fade_form: form of the decay of static friction with speed.
         viscous_form: whether viscous friction is in proportion to speed.
         bristle_form: elastic element of friction.
         velocity_form: how servos estimate their velocity.
@@ -185,7 +185,7 @@ class HiddenWorld:
 
     @property
     def identity(self) -> str:
-        """Twelve hexadecimal digits that tell worlds apart without telling anything about them."""
+        """Twelve hexadecimal digits that identify a world without revealing anything about it."""
         return hashlib.sha256(repr(dataclasses.astuple(self)).encode()).hexdigest()[:12]
 
     def replace(self, **changes: Any) -> HiddenWorld:
@@ -200,7 +200,7 @@ class HiddenWorld:
 
     @classmethod
     def random(cls, seed: int, ranges: Ranges | None = None) -> HiddenWorld:
-        """A world drawn from ranges, those of Table I if None; what is not named there is as in `HiddenWorld()`."""
+        """A world drawn from ranges, those of Table I if None; other values are those of `HiddenWorld()`."""
         check_seed("the seed of a random world", seed)
         rng = np.random.default_rng([seed, 2])
         drawn: dict[str, Any] = {
@@ -211,10 +211,10 @@ class HiddenWorld:
 
     @classmethod
     def load(cls, path: str | Path) -> HiddenWorld:
-        """Read a YAML file of `name: value` lines; what it does not name is as in `HiddenWorld()`.
+        """Read a YAML file of `name: value` lines; other values are those of `HiddenWorld()`.
 
-        A line `draw: seed` starts from the random world of that seed instead, so that the file does not tell the truth
-        to whoever glances at it. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [elbow]}`.
+        A line `draw: seed` starts from the random world of that seed instead, so that the file does not show the
+        parameters. `hidden` lists effects, such as `{name: backlash, size: 0.004, joints: [elbow]}`.
         """
         return cls.of(read_yaml(path), str(path))
 
@@ -232,7 +232,7 @@ class HiddenWorld:
 
     @classmethod
     def find(cls, name: str | Path, seed: int = 0) -> HiddenWorld:
-        """A world by what a user calls it.
+        """A world by its name.
 
         Args:
             name: "random", a name from `world_names`, or the path of a YAML file.

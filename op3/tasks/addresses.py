@@ -15,10 +15,10 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Addresses:
-    """Of a robot in a compiled scene.
+    """Indices of a robot in a compiled scene.
 
     Attributes:
-        base: number of its base body.
+        base: index of its base body.
         qpos: first of the base's seven numbers in qpos; None where it is bolted to something.
         dof: first of its six in qvel; None where it is bolted to something.
         accelerometer: first of three in sensordata; None without an IMU.
@@ -41,7 +41,7 @@ class Addresses:
 
     @classmethod
     def find(cls, model: mujoco.MjModel, scene: Scene) -> Addresses:
-        """In a compiled scene.
+        """Look up the indices in a compiled scene.
 
         Raises:
             ValueError: if it has no robot.

@@ -83,7 +83,7 @@ class StiffWalk:
 
 
 def position_mode(model: RobotModel) -> RobotModel:
-    """The same robot with its servos in position mode: own loop, driven by voltage, goals late as currents were.
+    """The same robot with its servos in position mode: internal loop, driven by voltage, the same latency of commands.
 
     Raises:
         ValueError: if the model's servos are not driven by current.

@@ -13,7 +13,7 @@ from op3.tasks.task import Task, find_task
 
 
 def foot_of(joint: str, robot: Robot) -> int:
-    """Number of the foot, in the order of the robot's file, whose leg a joint is in.
+    """Index of the foot, in the order of the robot's file, to whose leg a joint belongs.
 
     Raises:
         ValueError: if it is in no leg.

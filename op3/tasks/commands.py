@@ -141,15 +141,15 @@ class Heading:
         self._reference = HeadingReference(num_envs)
 
     def begun(self, rows: Tensor, yaw: Tensor) -> None:
-        """Robots of a mask have been put down with a measured yaw [rad]."""
+        """Begin the episodes of a mask of robots, at a measured yaw [rad]."""
         self._reference.begin(rows, yaw)
 
     def follow(self, yaw: Tensor, commands: Mapping[str, Tensor]) -> None:
-        """A policy step has passed under these commands; the robots measure a yaw [rad]."""
+        """Advance by one policy step under these commands, to a measured yaw [rad]."""
         self._reference.step(yaw, commands[self.rate][:, -1], self._period)
 
     def at(self, time: Tensor) -> Tensor:
-        """The reference now."""
+        """The current reference."""
         del time
         return self._reference.heading[:, None]
 

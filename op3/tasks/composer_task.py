@@ -122,7 +122,7 @@ class ComposerTask(composer.Task):
         self._substep += 1
 
     def after_substep(self, physics: Any, random_state: Any) -> None:
-        """Add to the step's means and peaks."""
+        """Update the step's means and peaks."""
         del random_state
         data = physics.data.ptr
         arrays = (data.qpos, data.qvel, data.sensordata, data.site_xpos, self.servos.motor_current)

@@ -1,7 +1,7 @@
 """R_eval: the return of an episode as a function of its log, in simulation and on the robot.
 
-The paper evaluates eq. (8) with the last column of Table II. A robot knows no velocity of its body, so balance takes it
-from the body's rates, and walking from the distance travelled (paper, section "Task for Evaluation").
+The paper evaluates eq. (8) with the last column of Table II. A robot does not measure the velocity of its body: balance
+computes it from the body's rates, walking from the distance travelled (paper, section "Task for Evaluation").
 """
 
 from typing import Any
@@ -70,7 +70,7 @@ def evaluation_terms(
     specific_force: Tensor,
     velocity: Tensor | None,
 ) -> Tensor:
-    """R_eval of steps, ``[...]``; without the part of the velocity where that is not known yet.
+    """R_eval of steps, ``[...]``; without the term of the velocity if that is not known yet.
 
     Args:
         action: ``[..., action]``.
@@ -90,7 +90,8 @@ def evaluation_terms(
 
 
 def travel_term(task: Task, speed: Tensor) -> Tensor:
-    """What a mean forward speed [m/s], ``[...]``, adds to every step; its sideways part is unknown and counts as 0."""
+    """Contribution of a mean forward speed [m/s], ``[...]``, to every step; the sideways speed is unknown and counts as
+    0."""
     velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
     upright = torch.zeros_like(velocity)
@@ -123,7 +124,7 @@ def succeeded(log: Rollout, task: str | Task) -> bool:
 
 
 def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of a policy's steps in an episode, and the row of each; a loop may skip rows.
+    """Indices of a policy's steps in an episode, and the row of each; a loop may skip rows.
 
     Args:
         rate: of the policy [Hz].

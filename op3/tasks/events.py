@@ -28,11 +28,11 @@ __all__ = ["Board", "Placement", "Pushing", "Randomisation", "Terrain"]
 Array = NDArray[np.float64]
 
 BoardMotion = Literal["still", "waves", "tilts", "weight"]
-"""What moves a board: nothing, random waves, steps between two tilts, or a weight that is lowered on it."""
+"""Motions of a board: none, random waves, steps between two tilts, or a weight that is lowered on it."""
 
 
 class Placement:
-    """Random initial states about the home pose at rest; standard deviations, our own choice.
+    """Random initial states about the home pose at rest, with standard deviations chosen by us.
 
     Args:
         joint_position: of each controlled joint [rad].
@@ -86,7 +86,7 @@ class Board:
         self._motions: dict[int, Any] = {}
 
     def attach(self, world: World) -> None:
-        """The simulation exists."""
+        """Look up the arrays of the simulation."""
         self._world, self._drive = world, None
 
     def begin(self, episodes: Episodes) -> None:
@@ -128,7 +128,7 @@ class Terrain:
         self.height, self.steps = height, steps
 
     def attach(self, world: World) -> None:
-        """The simulation exists."""
+        """Look up the arrays of the simulation."""
         self._tiles, self._geom_pos = tile_ids(world.model), world.geom_pos
         if self._geom_pos is None:
             raise ValueError("the scene has no tiles; take scene: terrain")
@@ -168,7 +168,7 @@ class Pushing:
         self._pushes = [Pushes([Push.towards(0, 0.0, 0.0)] * num_envs) for _ in range(self._count)]
 
     def attach(self, world: World) -> None:
-        """The simulation exists."""
+        """Look up the arrays of the simulation."""
         self._wrench = world.base_wrench
 
     def begin(self, episodes: Episodes) -> None:
@@ -212,7 +212,7 @@ class Randomisation:
         self.drawn = {name: torch.zeros(num_envs, dtype=torch.float64) for name in self._ranges.bounds(model)}
 
     def attach(self, world: World) -> None:
-        """The simulation exists."""
+        """Look up the arrays of the simulation."""
         if world.set_parameters is None:
             raise ValueError("only the batched environment draws parameters")
         self._set = world.set_parameters

@@ -137,7 +137,7 @@ class Mdp:
         self.terms[kind][name].set(field, value)
 
     def attach(self, world: World) -> None:
-        """The simulation exists; events look up the arrays that they change."""
+        """Let events look up the arrays that they change, once the simulation exists."""
         self._world = world
         for term in self.terms["events"].values():
             if hook := term.hook("attach"):
@@ -178,7 +178,7 @@ class Mdp:
         return episodes
 
     def begun(self, snapshot: Snapshot) -> Tensor:
-        """The initial states have been set; returns the observation of all robots, ``[env, observation]``."""
+        """Begin the episodes whose initial states have been set; returns all observations, ``[env, observation]``."""
         for term in self.terms["commands"].values():
             if hook := term.hook("begun"):
                 hook(self._begun, snapshot.readings["orientation"][:, 2])
@@ -194,7 +194,7 @@ class Mdp:
         return self.action_map.commands(self._first_action.expand(count, -1))
 
     def tick(self, time: Array) -> None:
-        """A tick of the control at times of each episode [s], ``[env]``: events act."""
+        """Let events act at a control tick, at times of each episode [s], ``[env]``."""
         for term in self.terms["events"].values():
             if not term.keeps_memory:
                 term(self._world, time)
@@ -202,7 +202,7 @@ class Mdp:
                 hook(time)
 
     def finish(self, action: Tensor, snapshot: Snapshot, step: StepStatistics, failed: Tensor) -> Outcome:
-        """A policy step is over.
+        """Result of a policy step that has ended.
 
         Args:
             action: taken at its beginning, ``[env, action]``; clipped to [-1, 1], as in the command.
@@ -270,7 +270,7 @@ class Mdp:
 
 
 def _resolutions(robot: Robot) -> dict[str, Tensor]:
-    """One count of what the robot's computer reads, ``[joint]`` in rad and rad/s, and ``[1]`` of the IMU."""
+    """Resolution of the readings: ``[joint]`` in rad and rad/s, and ``[1]`` of the IMU."""
 
     def numbers(values: list[float]) -> Tensor:
         return torch.tensor(values, dtype=torch.float64)

@@ -58,7 +58,7 @@ class VelocityError:
         self._error = torch.zeros(num_envs, 3, dtype=torch.float64)
 
     def begin(self, rows: Tensor) -> None:
-        """Episodes of a mask of robots begin."""
+        """Begin the episodes of a mask of robots."""
         self._error[rows] = 0.0
 
     def __call__(self, state: State) -> Tensor:

@@ -14,7 +14,7 @@ DIRECTIONS = 8
 """Directions of a push: forwards, then every 45 degrees to the left."""
 
 PUSH_DURATION = 12 * CONTROL_PERIOD
-"""How long a push lasts [s]: a hand's, short against the gait."""
+"""Duration of a push [s]: that of a hand, short compared with the gait cycle."""
 
 FIRST_PUSH = 1.5
 """Time from which a robot may be pushed [s]; by then it walks."""

@@ -1,8 +1,8 @@
 """Reward terms: functions of the state of many robots that return ``[env]``; a task gives each a weight.
 
 ``alive``, ``command``, ``smooth`` and ``bipedal`` are the reward of the paper (eq. 8 and Table II; Siekmann et al.
-2021, eq. 2); the others are ours. Norms are Euclidean. The mathematics stands apart in functions of tensors, which
-the evaluation of a log uses too.
+2021, eq. 2); the others are ours. Norms are Euclidean. The formulae are separate functions of tensors, which the
+evaluation of a log also uses.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ Siekmann et al. (2021) smooth the boundaries in this way; the paper gives no num
 """
 
 FOOT_OFFSETS = {2: (0.0, 0.5), 4: (0.0, 0.5, 0.5, 0.0)}
-"""Where in the cycle each foot is when the phase is 0, by the number of feet: two half a cycle apart; four in diagonal
-pairs (a trot), where the file names both front feet and then both hind feet."""
+"""Phase of each foot in the cycle when the phase of the gait is 0, by the number of feet: two half a cycle apart; four
+in diagonal pairs (a trot), where the file names both front feet and then both hind feet."""
 
 LOADED_SHARE = 0.648
 """Force at which a foot counts as loaded, as a share of the weight that it carries when all stand.
@@ -111,7 +111,7 @@ _WEIGHT, _FREQUENCY = _swing_series()
 
 
 def swing_probability(phase: Tensor) -> Tensor:
-    """How surely a foot is in swing at its phase [cycles]: 1 in the middle of [0, 0.3], 0 in the middle of [0.3, 1].
+    """Probability that a foot is in swing at its phase [cycles]: 1 in the middle of [0, 0.3], 0 in that of [0.3, 1].
 
     The interval's boundaries are smoothed with a von Mises density, as its Fourier series.
     """
@@ -121,7 +121,7 @@ def swing_probability(phase: Tensor) -> Tensor:
 
 
 def swing_of_feet(phase: Tensor, feet: int = 2) -> Tensor:
-    """How surely each foot is in swing, ``[..., foot]``.
+    """Probability that each foot is in swing, ``[..., foot]``.
 
     Args:
         phase: of the gait, ``[...]`` in cycles.
@@ -141,7 +141,7 @@ def bipedal_term(swing: Tensor, foot_force: Tensor, foot_speed: Tensor, loaded: 
     Siekmann et al. (2021), eq. (2): in swing C_frc = -1 and C_spd = 0, in stance C_frc = 0 and C_spd = -1.
 
     Args:
-        swing: how surely each foot is in swing, ``[..., foot]``.
+        swing: probability that each foot is in swing, ``[..., foot]``.
         foot_force: size of the force on each foot, ``[..., foot]`` in N.
         foot_speed: of the feet over the ground, ``[..., foot]`` in m/s.
         loaded: force at which a foot counts as loaded [N].
@@ -203,10 +203,10 @@ def bipedal(state: State, robot: Robot, name: str | None = None) -> Tensor:
 
 
 def clearance(state: State, height: float = 0.02, name: str | None = None) -> Tensor:
-    """How far feet that should swing are below a height above the lowest foot, twice the mean, in [-2, 0].
+    """Penalty on swinging feet below a height above the lowest foot: twice the mean relative shortfall, in [-2, 0].
 
     Args:
-        height: from which nothing is lost [m].
+        height: clearance from which the penalty is zero [m].
         name: as of `bipedal`.
     """
     low = (1.0 - state.step.foot_clearance / height).clamp(min=0.0)
@@ -214,10 +214,10 @@ def clearance(state: State, height: float = 0.02, name: str | None = None) -> Te
 
 
 def planted(state: State, height: float = 0.02, name: str | None = None) -> Tensor:
-    """How far heels and toes of feet that should stand are off the ground, twice the mean, in [-2, 0].
+    """Penalty on raised heels and toes of standing feet: twice their mean relative height, in [-2, 0].
 
     Args:
-        height: of the highest key point of a foot at which all is lost [m].
+        height: that of a foot's highest key point from which the penalty is largest [m].
         name: as of `bipedal`.
     """
     high = (state.step.foot_rise / height).clamp(max=1.0)
@@ -238,10 +238,10 @@ def self_contact(state: State) -> Tensor:
 
 
 def overload(state: State, robot: Robot) -> Tensor:
-    """Currents that a servo cannot carry for long, in [-1, 0].
+    """Penalty on currents that a servo cannot carry for long, in [-1, 0].
 
     An episode is much shorter than the minute over which a robot averages currents before it limits them, so a policy
-    that must stand for longer has to learn of it. Heat goes with the square of the current; half of a servo's
+    that must stand for longer needs this penalty. Heat goes with the square of the current; half of a servo's
     continuous current costs nothing.
     """
     continuous = torch.tensor([servo.continuous_current for servo in robot.servos], dtype=torch.float64)
@@ -254,8 +254,8 @@ def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) ->
 
     Args:
         velocity: desired, forwards in the world [m/s].
-        name: of a command whose direction and speed are desired instead. Whatever its speed, following it earns
-            `velocity`: in m/s slow commands, backwards and sideways, would hardly count.
+        name: of a command whose direction and speed are desired instead. Following it earns `velocity` at every
+            commanded speed; the speed itself would reward slow commands too little.
     """
     if name is None:
         return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
@@ -264,7 +264,7 @@ def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) ->
 
 
 class TrackVelocity:
-    """How far the robot is from a commanded velocity, in [-3, 0], averaged over a stride: a body sways as it walks.
+    """Penalty on the velocity error, in [-3, 0], averaged over a stride because a body sways as it walks.
 
     Args:
         forward: steepness of the penalty on forward speed [s/m].
@@ -288,7 +288,7 @@ class TrackVelocity:
         self._error = VelocityError(num_envs, policy_period, time_constant, name)
 
     def begin(self, rows: Tensor) -> None:
-        """Episodes of a mask of robots begin."""
+        """Begin the episodes of a mask of robots."""
         self._error.begin(rows)
 
     def __call__(self, state: State) -> Tensor:
@@ -298,7 +298,7 @@ class TrackVelocity:
 
 
 def heading(state: State, steepness: float = 4.0) -> Tensor:
-    """How far the robot's heading is from that which its commands ask for, in [-1, 0].
+    """Penalty on the difference of the robot's heading from the commanded one, in [-1, 0].
 
     Args:
         steepness: of the penalty [1/rad].
@@ -312,10 +312,10 @@ def upright(state: State) -> Tensor:
 
 
 def distance_to_target(state: State, name: str = "target", scale: float = 0.1) -> Tensor:
-    """How far the tip of an arm is from a commanded place, in [-1, 0].
+    """Penalty on the distance of an arm's tip from its commanded position, in [-1, 0].
 
     Args:
-        name: of the command, a place relative to the base [m].
+        name: of the command, a position relative to the base [m].
         scale: distance at which 63 % of the penalty is reached [m].
     """
     return _penalty(norm(state.tip_position - state.commands[name]) / scale)

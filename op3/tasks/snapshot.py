@@ -26,7 +26,7 @@ class Snapshot:
             angular_velocity [rad/s].
         current: of the motors, ``[sim, joint]`` in A.
         specific_force: of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
-        place: of the base's origin in the world, ``[sim, 3]`` in m.
+        place: position of the base's origin in the world, ``[sim, 3]`` in m.
         height: of the base's origin above the ground's, ``[sim]`` in m.
         velocity: of the base in the world, ``[sim, 3]`` in m/s.
         quaternion: of the base in the world, ``[sim, 4]``, w first.

@@ -36,17 +36,17 @@ class State:
 
     @property
     def joint_position(self) -> Tensor:
-        """Measured, ``[env, joint]`` in rad."""
+        """Measured joint angles, ``[env, joint]`` in rad."""
         return self.snapshot.readings["joint_position"]
 
     @property
     def joint_velocity(self) -> Tensor:
-        """Measured, ``[env, joint]`` in rad/s."""
+        """Measured joint velocities, ``[env, joint]`` in rad/s."""
         return self.snapshot.readings["joint_velocity"]
 
     @property
     def joint_current(self) -> Tensor:
-        """Measured, ``[env, joint]`` in A."""
+        """Measured motor currents, ``[env, joint]`` in A."""
         return self.snapshot.current
 
     @property
@@ -56,7 +56,7 @@ class State:
 
     @property
     def angular_velocity(self) -> Tensor:
-        """Of the base in its own frame, ``[env, 3]`` in rad/s."""
+        """Angular velocity of the base in its frame, ``[env, 3]`` in rad/s."""
         return self.snapshot.readings["angular_velocity"]
 
     @property
@@ -66,12 +66,12 @@ class State:
 
     @property
     def base_height(self) -> Tensor:
-        """Of the base's origin above the ground's, ``[env]`` in m."""
+        """Height of the base's origin above the ground's, ``[env]`` in m."""
         return self.snapshot.height
 
     @property
     def base_velocity(self) -> Tensor:
-        """Of the base in the world, ``[env, 3]`` in m/s."""
+        """Velocity of the base in the world, ``[env, 3]`` in m/s."""
         return self.snapshot.velocity
 
     @property
@@ -91,7 +91,7 @@ class State:
 
     @property
     def tip_position(self) -> Tensor:
-        """Of the tip of an arm relative to its base, in the base's frame, ``[env, 3]`` in m."""
+        """Position of an arm's tip relative to its base, in the base's frame, ``[env, 3]`` in m."""
         if self.snapshot.tip_position is None:
             raise ValueError("the robot's file has no tip")
         return self.snapshot.tip_position

@@ -29,7 +29,7 @@ class Travelled:
         self._start = torch.zeros(num_envs, dtype=torch.float64)
 
     def begin(self, rows: Tensor) -> None:
-        """Episodes of a mask of robots begin."""
+        """Begin the episodes of a mask of robots."""
         self._new |= rows
 
     def __call__(self, state: State) -> Tensor:
@@ -45,6 +45,6 @@ def at_target(state: State, distance: float, name: str = "target") -> Tensor:
 
     Args:
         distance: largest [m].
-        name: of the command, a place relative to the base [m].
+        name: of the command, a position relative to the base [m].
     """
     return torch.linalg.vector_norm(state.tip_position - state.commands[name], dim=-1) <= distance

@@ -30,7 +30,7 @@ POLICY_PERIOD = TICKS * CONTROL_PERIOD
 """Time between policy steps [s]."""
 
 Terms = Named[Any]
-"""Terms by name, each a mapping of ``function`` (where the name does not say it), parameters and options."""
+"""Terms by name, each a mapping of ``function`` (unless the name is that of the function), parameters and options."""
 
 
 @settings("gait")
@@ -38,8 +38,8 @@ class Gait:
     """The clock of a gait.
 
     Attributes:
-        cycle: duration [s].
-        first_phase: when an episode begins [cycles]; None: drawn anew for every episode.
+        cycle: duration of a gait cycle [s].
+        first_phase: phase at which an episode begins [cycles]; None: drawn for every episode.
     """
 
     cycle: Positive
@@ -67,7 +67,7 @@ class Task:
         rewards: terms of `op3.tasks.rewards` that define the task, each with a ``weight``.
         shaping: terms that only help learning, likewise.
         terminations: terms of `op3.tasks.terminations`.
-        success: terms of `op3.tasks.successes`; without any an episode succeeds that does not fail.
+        success: terms of `op3.tasks.successes`; without any, an episode succeeds if it does not fail.
         events: terms of `op3.tasks.events`.
         commands: terms of `op3.tasks.commands`.
         privileged: terms of `op3.tasks.privileged`, further observations for critics.
@@ -150,7 +150,7 @@ class Task:
         return self.observer(self.action_map().size).size
 
     def observer(self, action_size: int) -> Observer:
-        """The observer of a policy with so many actions."""
+        """The observer of a policy with this number of actions."""
         robot = load_robot(self.robot)
         return Observer(self.terms("observations"), robot, self.history, self.example(robot, action_size))
 
@@ -158,7 +158,7 @@ class Task:
         """Images of the task's observations and actions in the robot's plane of symmetry.
 
         Raises:
-            ValueError: naming what has none.
+            ValueError: naming the part that has no mirror image.
         """
         robot = load_robot(self.robot)
         images = {name: getattr(term.target, "mirror", None) for name, term in self._commands(robot).items()}
@@ -253,7 +253,7 @@ def _read(name: str, beside: Mapping[str, Path]) -> DictConfig:
     """A task's file with the files of its defaults below it, as Hydra composes them.
 
     Args:
-        beside: files by name that go before the project's.
+        beside: files by name, used instead of the project's.
     """
     known = {**named_configs("task"), **beside}
     if name not in known:

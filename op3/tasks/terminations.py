@@ -46,7 +46,7 @@ class Lag:
         self._period, self._behind = policy_period, torch.zeros(num_envs, dtype=torch.float64)
 
     def begin(self, rows: Tensor) -> None:
-        """Episodes of a mask of robots begin."""
+        """Begin the episodes of a mask of robots."""
         self._behind[rows] = 0.0
 
     def __call__(self, state: State) -> Tensor:

@@ -84,7 +84,7 @@ class WholeStep:
         self._timestep = float(model.opt.timestep)
 
     def begin(self, site_xpos: Array) -> None:
-        """A policy step begins with the feet here, ``[sim, site, 3]``."""
+        """Begin a policy step with the feet at these positions, ``[sim, site, 3]``."""
         for sums in (self._sums, self._peaks, self._feet_sums):
             sums[:] = 0.0
         self._samples = 0
@@ -100,7 +100,7 @@ class WholeStep:
         )  # fmt: skip
 
     def result(self) -> StepStatistics:
-        """The step so far."""
+        """Statistics of the step so far."""
         mean = torch.from_numpy(self._sums / max(self._samples, 1))
         feet = torch.from_numpy(self._feet_sums / max(self._samples, 1))
         peak = torch.from_numpy(self._peaks.copy())
@@ -112,7 +112,7 @@ def _add(
     sums, peaks, feet_sums, feet, qpos, qvel, sensordata, site_xpos, current, base, accelerometer, contact, forces,
     points, timestep,
 ):  # fmt: skip
-    """Adds one look to sums ``[sim, 4]``, peaks ``[sim, 3]`` and sums of the feet ``[sim, 4, foot]``."""
+    """Adds one sample to sums ``[sim, 4]``, peaks ``[sim, 3]`` and sums of the feet ``[sim, 4, foot]``."""
     lowest, highest = np.zeros(len(forces)), np.zeros(len(forces))
     for sim in range(len(sums)):
         total = 0.0

@@ -20,7 +20,7 @@ from op3.policy.mirror import Mirror
 from op3.train.networks import LARGEST_STD, SMALLEST_STD, Normaliser, PolicyNetwork, approach
 
 NORMALISED = "normalised"
-"""Key of the normalised ``observation`` and, behind it, the ``privileged`` that a task may have for critics alone."""
+"""Key of the normalised ``observation``, followed by the ``privileged`` one that a task may have for critics only."""
 
 Measures = dict[str, Tensor]
 """Scalars by name, for logs."""
@@ -39,8 +39,8 @@ class AlgorithmSettings:
         initial_std: standard deviation of the untrained policy before tanh.
         largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
         clip: bound of a normalised observation.
-        averaging: share that a running average of the policy's weights keeps of itself per update. The policy that is
-            evaluated and kept has the average, or the latest weights where this is 0.
+        averaging: decay per update of a running average of the policy's weights. The policy that is evaluated and kept
+            has the average, or the latest weights if this is 0.
     """
 
     hidden: Some[Count] = (256, 256)
@@ -134,7 +134,7 @@ class Algorithm(nn.Module, ABC):
         self.explorer.follow()
 
     def restart(self, seed: int) -> None:
-        """All episodes restart, and exploration with them."""
+        """Restart the exploration, because all episodes restart."""
         self.explorer.generator.manual_seed(seed)
 
     @torch.no_grad()
@@ -189,7 +189,7 @@ class Algorithm(nn.Module, ABC):
         )
 
     def stochastic_actor(self) -> ProbabilisticActor:
-        """The policy in the form of TorchRL's losses: normalised observations to squashed Gaussian actions."""
+        """The policy as TorchRL's losses expect it: normalised observations to squashed Gaussian actions."""
         return ProbabilisticActor(
             TensorDictModule(self.network, [NORMALISED], ["loc", "scale"]),
             in_keys=["loc", "scale"],
@@ -202,7 +202,7 @@ class Algorithm(nn.Module, ABC):
         return Explorer(self.normaliser, self.network, self.environments)
 
     def normalise(self, batch: TensorDictBase) -> TensorDictBase:
-        """Set the normalised observations of transitions."""
+        """Add normalised observations to a batch of transitions, in place."""
         places: Any = (batch, batch["next"])
         for place in places:
             place[NORMALISED] = self.normaliser(self.critic_inputs(place))
@@ -221,7 +221,7 @@ class Algorithm(nn.Module, ABC):
         optimiser.step()
 
     def count_update(self) -> None:
-        """An update was made: the average of the policy follows."""
+        """Update the running average of the policy."""
         self.updates += 1
         if self.average is not None:
             approach(self.average, self.network, 1.0 - self.settings.averaging)

@@ -22,7 +22,7 @@ _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU, "tanh": nn.Tanh
 class Normaliser(nn.Module):
     """clip((observation - mean) / scale) with mean and standard deviation of the observations given to `update`.
 
-    Calls do not change it, so evaluations do not either.
+    Calls, and therefore evaluations, do not change it.
 
     Args:
         size: numbers in an observation.
@@ -77,10 +77,10 @@ class PolicyNetwork(nn.Module):
     """Normalised observations to mean and standard deviation of the action before tanh.
 
     Args:
-        observation_size: numbers in an observation; more in the input are not read.
+        observation_size: numbers in an observation; further inputs are ignored.
         action_size: numbers in an action.
         hidden: units of the hidden layers.
-        activation: of the hidden layers.
+        activation: activation function of the hidden layers.
         initial_action: mean action [action] of the untrained policy for every observation; zeros if None.
         initial_std: standard deviation of the untrained policy before tanh.
         largest_std: bound of the standard deviation; None: it is constant.
@@ -179,7 +179,7 @@ class Ensemble(nn.Module):
 
 @torch.no_grad()
 def approach(module: nn.Module, goal: nn.Module, share: float) -> None:
-    """Move a module's parameters by a share of the way to those of another of the same make."""
+    """Move a module's parameters by a share towards those of another of the same architecture."""
     torch._foreach_lerp_([*module.parameters()], [*goal.parameters()], share)  # pyright: ignore
 
 

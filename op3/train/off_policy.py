@@ -25,11 +25,11 @@ class OffPolicySettings(AlgorithmSettings):
 
     Attributes:
         layer_norm: whether the critics' hidden layers are normalised.
-        n_step: steps of the return before the critics take over.
+        n_step: steps of the return before it bootstraps from the critics.
         batch: transitions per update.
         actor_rate: learning rate of the policy.
         critic_rate: learning rate of the critics.
-        target_rate: share by which the target critics follow per update.
+        target_rate: share by which the target critics approach the critics per update.
         actor_every: critic updates per policy update.
         actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
         warmup: steps before the first update, taken by the untrained policy.
@@ -90,7 +90,7 @@ class OffPolicy(Algorithm):
         return QNetwork(self.critic_input_size, self.action_size, hidden, chosen.layer_norm, bfloat16)
 
     def critic(self) -> ValueOperator:
-        """A new Q function in the form of TorchRL's losses."""
+        """A new Q function as TorchRL's losses expect it."""
         return ValueOperator(self.q_network(), in_keys=[NORMALISED, "action"])
 
     def make_buffer(self) -> None:
@@ -216,7 +216,7 @@ class OffPolicy(Algorithm):
             self.stored = self.steps
 
     def _due(self, steps: int) -> int:
-        """Updates after so many steps."""
+        """Number of updates after a number of steps."""
         return int(max(steps - self.settings.warmup, 0) * self.settings.updates_per_step)
 
 

@@ -32,7 +32,7 @@ class TD3(OffPolicy):
     Settings = TD3Settings
 
     def policy_network(self, initial_action: Tensor | None) -> PolicyNetwork:
-        """The policy's network, of which only the mean is learned."""
+        """The policy's network; only its mean is learned."""
         chosen = self.settings
         sizes = self.observation_size, self.action_size
         return PolicyNetwork(

@@ -72,7 +72,7 @@ class Curriculum:
                 raise ValueError(f"curricula.{path} lists pairs of steps and value, with increasing steps, got {pairs}")
 
     def at(self, steps: int) -> dict[str, float]:
-        """Values after so many steps, by path."""
+        """Values after a number of steps, by path."""
         return {path: float(np.interp(steps, *np.array(pairs).T)) for path, pairs in self.curricula.items()}
 
 
@@ -231,7 +231,7 @@ def _evaluate(
 
 
 def _identity(algorithm: Algorithm, manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
-    """What must be unchanged in a resumed run, although a change would fit all tensor shapes."""
+    """Values that a resumed run must not change, although a change would fit all tensor shapes."""
     return {
         "algorithm": type(algorithm).__name__,
         "task": manifest.task,
@@ -267,7 +267,7 @@ def _resume(
         )
     had, has = flat(state["config"]), flat(config)
     for name in sorted(name for name in had.keys() | has.keys() if had.get(name) != has.get(name)):
-        say(f"resumed with {name}={has.get(name)}, which was {had.get(name)}")
+        say(f"resumed with {name}={has.get(name)}, was {had.get(name)}")
     try:
         algorithm.load_state_dict(state["algorithm"])
         return Progress(**state["run"])

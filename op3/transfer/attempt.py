@@ -54,7 +54,7 @@ class Transfer:
 
     @property
     def achieved(self) -> str:
-        """What the criterion looks at, with its 95 % interval, and how many episodes fell."""
+        """The quantity of the criterion, with its 95 % interval, and the number of falls."""
         span = f" ({self.span})" if self.span else ""
         if self.walked is not None:
             said = f"{sum(self.walked)} of {len(self.walked)} episodes walk until the end{span}"
@@ -70,8 +70,8 @@ class Transfer:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of what is judged: Wilson's of the episodes that walked; of the share Student's, by the
-        spread of both means (the delta method); no interval of a single episode."""
+        """95 % interval of the criterion's quantity: Wilson's of the episodes that walked; of the share Student's, by
+        the spread of both means (the delta method); no interval of a single episode."""
         if self.walked is not None:
             return wilson_interval(sum(self.walked), len(self.walked))
         fewest = min(len(self.expected), len(self.actual))
@@ -96,7 +96,8 @@ class Transfer:
 
     @property
     def settled(self) -> bool:
-        """Whether the interval lies on one side of the criterion: more episodes would hardly turn the verdict."""
+        """Whether the interval lies on one side of the criterion, so that more episodes would hardly change the
+        verdict."""
         low, high = self.interval
         limit = self.criterion if self.walked is None else WALKERS
         return low >= limit or high < limit
@@ -121,7 +122,7 @@ class Transfer:
 
 @dataclass
 class Learned:
-    """What the rounds have found.
+    """Results of the rounds.
 
     Attributes:
         numbers: of the re-identification, by round, as its ``result.yaml`` has them.

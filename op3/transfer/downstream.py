@@ -1,4 +1,4 @@
-"""What a diagnosis is worth to a policy: its return predicted before and after, and as it was."""
+"""Effect of a diagnosis on a policy: its predicted returns before and after, and the measured one."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -10,8 +10,8 @@ from op3.tasks.task import POLICY_PERIOD, Task
 def that_count(episodes: Sequence[Rollout]) -> tuple[list[Rollout], list[Rollout]]:
     """Episodes that ended by their time or a fall, and the others.
 
-    What else ends one on a robot (a voltage, a lost bus, heat) does so in no simulation of the policy, so its return
-    says nothing of the parameters.
+    Other causes on a robot (a voltage, a lost bus, heat) do not occur in simulation, so the return of such an episode
+    contains no information on the parameters.
     """
     ends = (None, "ok", "fall")
     count = [log for log in episodes if log.metadata.extra.get("exit") in ends]
@@ -24,7 +24,7 @@ def ended_by(episodes: Sequence[Rollout]) -> str:
 
 
 def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
-    """Whether a log is an episode of this policy at this task, whose return a simulation can have.
+    """Check that a log is an episode of this policy at this task that a simulation can reproduce.
 
     Raises:
         LogError: if not; it says what to do.

@@ -1,4 +1,4 @@
-"""Re-identification from failed transfers: match what episodes were worth, not how they went (paper, eq. 6).
+"""Re-identification from failed transfers: match the returns of episodes, not their time series (paper, eq. 6).
 
 Two objectives: the loss of the excitation, eq. (7), and the Wasserstein-1 distance between the returns under R_eval
 that a policy got on the robot and those that it gets in simulation.
@@ -36,27 +36,27 @@ from op3.transfer.reidentified import Array, ParetoPoint, Reidentified, better_h
 from op3.transfer.returns import ReturnsBench
 
 PLAUSIBLE = 2.0
-"""Candidates whose excitation loss exceeds this multiple of the start's play no episode."""
+"""Candidates run no episode if their excitation loss exceeds this multiple of the initial model's."""
 
 TRIED = 0.3
-"""Share of the episodes that every plausible candidate plays before the better ones play the rest."""
+"""Share of the episodes that every plausible candidate runs before the better ones run the rest."""
 
 TOLERATED = 1.25
-"""Largest excitation loss of the chosen candidate, as a multiple of the start's. Those beyond play no more than the
+"""Largest excitation loss of the chosen candidate, as a multiple of the initial model's. Others run no more than the
 first episodes until they turn out to be on the Pareto front."""
 
 DISTINCT = 0.01
-"""Finalists differ by at least this share of what the trials span, in one parameter; generations breed clones."""
+"""Smallest difference of finalists in one parameter, as a share of the trials' range: generations contain clones."""
 
 CHANCE = 0.9
-"""A start whose distance is below this quantile of the distances that chance causes is kept."""
+"""The initial model is kept if its distance is below this quantile of the distances that chance causes."""
 
 RISES = (0.1, 0.25, 0.6)
-"""Expected rise of the excitation loss of the first candidates above the start's, as shares of it."""
+"""Expected rise of the first candidates' excitation loss above the initial model's, as shares of the latter."""
 
 
 class Simulations:
-    """What is simulated of candidates; several processes, each with one of these, share them.
+    """Simulations of candidates; several processes share the candidates, each with one of these objects.
 
     The arguments are those of `Reidentification`; `joints` are the focusing joints, and `num_threads` step the physics,
     0 for all processors.
@@ -94,11 +94,11 @@ class Reidentification:
     """Evaluates parameter sets by both objectives, many at once.
 
     Args:
-        model: that the policy was trained on; its effects stay, its values are the start.
+        model: that the policy was trained on; it defines the effects and the initial values.
         episodes: logs of the policy's episodes on the robot.
-        task: that was attempted; None: as the episodes say.
+        task: that was attempted; None: that of the episodes.
         repeats: episodes of each candidate, K in the paper.
-        race: whether a candidate whose first episodes promise nothing is spared the others; else all play all.
+        race: whether candidates with poor first episodes skip the others; False: all candidates run all episodes.
         processes: processes that share the simulations of a population; 0 for all processors.
 
     Raises:
@@ -147,12 +147,12 @@ class Reidentification:
         self.start = self._measure([start])[0]
         if not np.isfinite(self.start.excitation):
             raise ValueError(
-                "the model that the policy was trained on diverges in simulation, so nothing can start there"
+                "the model that the policy was trained on diverges in simulation, so the search cannot start from it"
             )
 
     @property
     def identity(self) -> str:
-        """What tells the objectives from others: of other logs, another policy, model, task or number of episodes."""
+        """Identifies the objectives: it depends on logs, policy, model, task and number of episodes."""
         logs = [log.fingerprint() for log in (*self._logs[0], *self._logs[1])]
         weights = hashlib.sha256()
         for name in sorted(self._policy.weights):
@@ -162,7 +162,7 @@ class Reidentification:
         return hashlib.sha256(whole.encode()).hexdigest()[:12]
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
-        """Both objectives of trials whose parameters are config keys, as the study asks them."""
+        """Both objectives of trials whose parameters are config keys, as the study requests."""
         trials = [{key.removeprefix(PREFIX): float(value) for key, value in trial.items()} for trial in population]
         outcomes = []
         for one in self._measure(trials, PLAUSIBLE * self.start.excitation, self.race):
@@ -178,7 +178,8 @@ class Reidentification:
         return outcomes
 
     def propose(self, count: int, bounds: Mapping[str, tuple[float, float]], seed: int = 0) -> list[dict[str, float]]:
-        """Starts for a study: parameter sets, by config key, that the excitation hardly tells from the identified ones.
+        """First trials of a study: parameter sets, by config key, that fit the excitation about as well as the
+        identified one.
 
         Args:
             count: number of them, as many from within each of the `RISES`.
@@ -201,7 +202,7 @@ class Reidentification:
         return [{PREFIX + name: value for name, value in each.items()} for each in values]
 
     def _shared(self, what: str, values: Mapping[str, Tensor], count: int, **more: Any) -> Tensor:
-        """What `Simulations` says of all candidates; processes take them in turn, as neighbours may last as long."""
+        """Results of `Simulations` for all candidates, interleaved over processes, as neighbours take similar times."""
         shares = [torch.arange(first, count, self._crew.size) for first in range(min(self._crew.size, count))]
         parts = [
             {"values": {name: value[share] for name, value in values.items()}, "candidates": len(share), **more}
@@ -214,7 +215,7 @@ class Reidentification:
     def _measure(
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[ParetoPoint]:
-        """Both objectives; beyond a plausible excitation loss the distance is larger than any that episodes have."""
+        """Both objectives; beyond a plausible excitation loss the distance is set larger than any possible one."""
         values = columns(trials)
         seen = self._shared("losses", values, len(trials))
         losses, images = seen[:, 0], seen[:, 1:].numpy()
@@ -238,11 +239,11 @@ class Reidentification:
         return measured
 
     def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:
-        """Returns of candidates: of all episodes, or in a race of the first ones alone where those did badly.
+        """Returns of candidates: of all episodes, or in a race only of the first ones for poor candidates.
 
-        Every candidate plays the first episodes. What the others would be worth is foreseen from the start's, since all
-        play the same: they differ as the first ones do. Only the better half, and of it those that the start does not
-        beat in both objectives, play on, unless their excitation loss is beyond what may be chosen.
+        Every candidate runs the first episodes. Its other returns are predicted from those of the initial model in the
+        same episodes, with the mean difference of the first ones. Only the better half runs the rest, without
+        candidates that the initial model beats in both objectives or whose excitation loss is too large to be chosen.
         """
         count, episodes = len(losses), self.episodes
         first = ceil(TRIED * episodes) if race else episodes
@@ -264,19 +265,20 @@ class Reidentification:
         return result
 
     def _foresee(self, first: Array) -> Array:
-        """All returns of a candidate, those not played as the start's would have to be to differ alike."""
+        """All returns of a candidate; missing ones are the initial model's plus the mean difference of the first
+        ones."""
         if len(first) == self.episodes:
             return first
         start = np.array(self.start.returns)
         return np.concatenate([first, start[len(first) :] + (first - start[: len(first)]).mean()])
 
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
-        """Choose a point of the front, and look at it with other random numbers.
+        """Choose a point of the front, and evaluate it on new episodes.
 
-        Among the candidates whose excitation loss is at most `TOLERATED` times the start's, the closest few that differ
-        play as many episodes again: the best of hundreds has been lucky with those it was chosen by, so these count no
-        more. The smallest distance over the new ones wins; the start takes part. Where the start's returns are as close
-        to the robot's as chance would leave them, it stays. A third set of episodes then says what that is worth.
+        The finalists are the closest few different candidates whose excitation loss is at most `TOLERATED` times the
+        initial model's. They and the initial model run as many new episodes, because the best of hundreds was lucky in
+        the first ones; the smallest distance over the new ones wins. The initial model is kept if its returns are as
+        close to the robot's as chance allows. A third set of episodes measures the result.
 
         Raises:
             ValueError: if no trial of the study completed.
@@ -314,7 +316,7 @@ class Reidentification:
         )
 
     def _distinct(self, ordered: Sequence[ParetoPoint], all_: Sequence[ParetoPoint], count: int) -> list[ParetoPoint]:
-        """The first candidates that differ from one another and from the start."""
+        """The first candidates that differ from one another and from the initial model."""
         values = np.array([[one.values[name] for name in self.names] for one in all_])
         span = np.ptp(values, axis=0) if len(values) else np.ones(len(self.names))
         taken: list[ParetoPoint] = []
@@ -326,7 +328,7 @@ class Reidentification:
         return taken
 
     def _replay(self, candidates: Sequence[ParetoPoint], times: int) -> list[ParetoPoint]:
-        """The candidates over further episodes; `times` sets of episodes lie before them."""
+        """The candidates over further episodes, after `times` earlier sets."""
         values = columns([one.values for one in candidates])
         numbers = range(times * self.episodes, (times + 1) * self.episodes)
         returns = self._shared("returns", values, len(candidates), episodes=numbers).numpy()
@@ -347,5 +349,5 @@ class Reidentification:
 
 
 def _short(vector: Array) -> list[float]:
-    """Numbers as a study keeps them, to six digits."""
+    """Numbers rounded to six digits, as in a study."""
     return [float(f"{number:.6g}") for number in vector]

@@ -1,4 +1,4 @@
-"""What a re-identification finds: candidates with two objectives, those that nothing beats, and what chance leaves."""
+"""Result of a re-identification: candidates with two objectives, the Pareto front, and distances by chance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,14 +17,14 @@ PAIRS = 400
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """A point of the Pareto front, or the start.
+    """A point of the Pareto front, or the initial model.
 
     Attributes:
         values: parameter values by name.
         excitation: loss of the excitation, paper eq. (7).
         distance: Wasserstein-1 distance of the returns.
         returns: of the policy in simulation.
-        attributes: what a sampler may learn from, see `op3.identify.level_set_sampler`.
+        attributes: features for a sampler, see `op3.identify.level_set_sampler`.
     """
 
     values: Mapping[str, float]
@@ -36,21 +36,21 @@ class ParetoPoint:
 
 @dataclass(frozen=True, eq=False)
 class Reidentified:
-    """What a re-identification found.
+    """Result of a re-identification.
 
     Attributes:
         model: with the chosen candidate's values.
-        start: the model that the policy was trained on.
+        start: the initial model, on which the policy was trained.
         chosen: see `Reidentification.finish`.
         front: the Pareto front, by rising excitation loss.
         actual: returns on the robot.
-        fresh_start: the start over episodes that neither the search nor the choice has seen.
-        fresh_chosen: the chosen candidate over the same.
-        noise: distance to be expected between the robot's returns and as many simulated ones if the chosen model were
-            the robot: what chance alone leaves.
-        at_chance: whether the start's returns are as close to the robot's as chance would leave them, so that there is
-            nothing to learn from them.
-        start_name: what the start is called: how it was found.
+        fresh_start: the initial model over episodes that neither the search nor the choice has used.
+        fresh_chosen: the chosen candidate over the same episodes.
+        noise: expected distance between the robot's returns and as many simulated ones by chance, if the chosen model
+            were the robot.
+        at_chance: whether the initial model's returns are as close to the robot's as chance allows, so that the
+            episodes show no error of the model.
+        start_name: name of the initial model, by its method.
     """
 
     model: RobotModel
@@ -66,19 +66,20 @@ class Reidentified:
 
     @property
     def accepted(self) -> bool:
-        """Whether the chosen candidate is another than the start."""
+        """Whether the chosen candidate is not the initial model."""
         return self.chosen is not self.start
 
 
 def unbeaten(candidates: Sequence[ParetoPoint]) -> list[ParetoPoint]:
-    """Those that no other is better than: nowhere worse, and better in one objective."""
+    """The Pareto front: candidates for which no other is at least as good in both objectives and better in one."""
     pairs = np.array([(one.excitation, one.distance) for one in candidates]).reshape(-1, 2)
     beaten = [((pairs <= own).all(axis=-1) & (pairs < own).any(axis=-1)).any() for own in pairs]
     return [one for one, lost in zip(candidates, beaten, strict=True) if not lost]
 
 
 def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:
-    """Indices, rising, of the candidates that fewest others beat in both objectives; none that the start beats."""
+    """Ascending indices of the candidates that the fewest others beat in both objectives, without those that the
+    initial model beats."""
     beaten = (losses[None] < losses[:, None]) & (distances[None] < distances[:, None])
     hopeless = (losses > start[0]) & (distances >= start[1])
     order = np.lexsort((distances, beaten.sum(1)))[: (len(losses) + 1) // 2]
@@ -86,7 +87,8 @@ def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> 
 
 
 def chance_distances(returns: Array, actual: int, simulated: int) -> Array:
-    """Wasserstein-1 distances of two samples of the same returns, whose mean no model can be expected to undercut."""
+    """Wasserstein-1 distances of two samples of the same returns; their mean is the smallest distance that a model can
+    be expected to reach."""
     rng = np.random.default_rng(0)
     known = returns[np.isfinite(returns)]
     return np.array(

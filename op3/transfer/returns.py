@@ -24,7 +24,7 @@ ROWS = 96
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """How a policy fares on candidate models.
+    """Returns of a policy on candidate models.
 
     The distance walked is looked at once per policy step, where a log has it at every tick; the returns of walking
     differ by less than a thousandth.
@@ -59,7 +59,7 @@ class ReturnsBench:
         num_threads: int = 0,
     ):
         if episodes < 1:
-            raise ValueError(f"a policy is judged by at least one episode, got {episodes}")
+            raise ValueError(f"the returns need at least one episode, got {episodes}")
         self.policy, self.model, self.task = policy, model, find_task(task)
         self.episodes, self.seed = episodes, seed
         self._num_threads = num_threads

@@ -71,7 +71,7 @@ def test_a_policy_is_trained_resumed_and_judged(tmp_path):
     # with the settings it had, but for what is given now
     done = run_script("train.py", "train.steps=640", f"resume={run}")
     assert done.returncode == 0, done.stderr
-    assert "resumed with train.steps=640, which was 320" in done.stdout
+    assert "resumed with train.steps=640, was 320" in done.stdout
     assert read_result(run / "result.yaml")["steps"] >= 640
     assert PolicyBundle.load(run / "policy").manifest.hidden == (16, 16)
     (run / "checkpoint.pt").write_bytes((run / "checkpoint.pt").read_bytes()[:5000])

@@ -157,7 +157,7 @@ def test_two_robots_and_two_joints_of_a_name_are_refused(tmp_path, other, said):
 
 def test_states_that_nobody_commands_are_refused(tmp_path):
     """With the names on both sides."""
-    with pytest.raises(LogError, match=r"there are a.target, b.target, c.target, but none belongs to x, y, z"):
+    with pytest.raises(LogError, match=r"none of the columns a.target, b.target, c.target belongs to x, y, z"):
         read(tmp_path, states(joints=("x", "y", "z")), named_commands())
 
 

@@ -117,7 +117,7 @@ def test_sealed_answers_open_only_unchanged(tmp_path):
     with pytest.raises(ValueError, match=f"{paths[0].name} was changed"):
         open_answers(tmp_path)
     paths[0].unlink()
-    with pytest.raises(ValueError, match="sealed but gone"):
+    with pytest.raises(ValueError, match="sealed but missing"):
         open_answers(tmp_path)
     paths[0].write_bytes(content)
     write_answer(draw_case(3, robot="op3"), tmp_path)

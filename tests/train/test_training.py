@@ -256,7 +256,7 @@ def test_a_resumed_run_says_what_changed(tmp_path):
     lines, settings = [], dataclasses.replace(SETTINGS, steps=256)
     run(tmp_path, settings, config={"algorithm": {"noise": 1.0}})
     run(tmp_path, settings, config={"algorithm": {"noise": 2.0}}, resume=True, say=lines.append)
-    assert "resumed with algorithm.noise=2.0, which was 1.0" in lines
+    assert "resumed with algorithm.noise=2.0, was 1.0" in lines
 
 
 def test_progress_lines_and_measures(tmp_path):

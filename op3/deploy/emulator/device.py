@@ -59,7 +59,7 @@ class Device:
 
     @property
     def alert(self) -> bool:
-        """Whether its answers carry the alert bit."""
+        """Whether its answers have the alert bit."""
         return False
 
     @property
@@ -74,7 +74,7 @@ class Device:
 
     @property
     def baud(self) -> int:
-        """Speed that it listens at [bit/s]; 0 for a value that is none."""
+        """Baud rate [bit/s]; 0 for an invalid register value."""
         return BAUD_RATES.get(self.memory[self._baud_at], 0)
 
     @property
@@ -84,7 +84,7 @@ class Device:
 
     @property
     def return_level(self) -> int:
-        """Which instructions it answers: 0 pings, 1 reads too, 2 all."""
+        """Which instructions it answers: 0: pings; 1: also reads; 2: all."""
         return self.memory[self._level_at]
 
     def get(self, name: str) -> int:
@@ -93,7 +93,7 @@ class Device:
         return register.decode(bytes(self.memory[register.address : register.end]))
 
     def put(self, name: str, value: int) -> None:
-        """Set a register, whatever the rules say."""
+        """Set a register without checking the rules."""
         register = self.table[name]
         self.memory[register.address : register.end] = register.encode(value)
 
@@ -144,7 +144,7 @@ class Device:
         return Error.NONE if (register.low or 0) <= value <= (register.high or 0) else Error.DATA_RANGE
 
     def written(self, register: Register, value: int) -> None:
-        """What follows from a write."""
+        """Apply the consequences of a write."""
 
 
 class OpenCR(Device):
@@ -168,7 +168,7 @@ class OpenCR(Device):
         return self.get("dynamixel_power") == 1
 
     def feel(self, readings: Sensors, voltage: float) -> None:
-        """Take what the sensors say, and the battery's voltage [V]."""
+        """Store the readings of the sensors, and the battery's voltage [V]."""
         self.memory[_VOLTAGE] = max(0, min(255, round(voltage / VOLTAGE_UNIT)))
         if self.frozen or readings.orientation is None:
             return

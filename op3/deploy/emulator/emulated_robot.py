@@ -37,14 +37,14 @@ CHECK_PERIOD = 0.01
 """Interval at which servos check their voltage and temperature [s] (inferred)."""
 
 _WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE)
-"""Instructions that need no measurements; those that do ask for them."""
+"""Instructions that need no measurements; the others request them."""
 
 _FIRST, _LAST = DYNAMIXEL_X["realtime_tick"].address, DYNAMIXEL_X["present_temperature"].end
 _PRESENT = np.dtype([(register.name, register.kind) for register in DYNAMIXEL_X if _FIRST <= register.address < _LAST])
 
 
 def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
-    """[servo, address]: from now on the servos' memory, so that all measurements are written at once."""
+    """Registers [servo, address], used as the servos' memory, so that all measurements are written at once."""
     memory = np.array([np.frombuffer(servo.memory, np.uint8) for servo in servos])
     for row, servo in zip(memory, servos, strict=True):
         servo.memory = memoryview(row)
@@ -52,7 +52,7 @@ def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
 
 
 class EmulatedClock:
-    """Time of the emulated world, which `advance` lets go on until a time [s]."""
+    """Time of the emulated world; `advance` simulates until a time [s]."""
 
     def __init__(self, advance: Callable[[float], None]):
         self._advance, self._now = advance, 0.0
@@ -66,7 +66,7 @@ class EmulatedClock:
         self.sleep_until(self._now + duration)
 
     def sleep_until(self, time: float) -> None:
-        """Let time pass until then [s]; no time passes if that is over."""
+        """Let time pass until a time [s]; a past time has no effect."""
         if time > self._now:
             self._now = time
             self._advance(time)
@@ -136,16 +136,16 @@ class EmulatedRobot:
         self.bus.close()
 
     def check_plugged(self) -> None:
-        """Fail as pyserial does where the plug has been pulled."""
+        """Fail as pyserial does if the adapter is unplugged."""
         if self.unplugged:
             raise SerialException("device reports readiness to read but returned no data (device disconnected?)")
 
     def at(self, time: float, event: Callable[[], None]) -> None:
-        """Let something happen at a time [s]."""
+        """Schedule an action at a time [s]."""
         heapq.heappush(self._events, (time, next(self._numbers), event))
 
     def advance(self, time: float) -> None:
-        """Let the world go on until a time [s]; what is over stays over."""
+        """Simulate until a time [s]; past times have no effect."""
         while True:
             event, watchdog = (self._events[0][0] if self._events else inf), self._next_trip()
             due = min(event, watchdog)
@@ -169,7 +169,7 @@ class EmulatedRobot:
         self._stale = self._board_stale = True
 
     def replace(self, physics: Physics) -> None:
-        """Another physics behind the same bus, such as the same robot in another place."""
+        """Use other physics behind the same bus, such as the same robot in another place."""
         physics.supply = self.physics.supply
         self.physics, self._stale, self._board_stale = physics, True, True
 
@@ -201,7 +201,8 @@ class EmulatedRobot:
         return bytes_.view(register.kind)[:, 0].astype(np.int64)
 
     def _goal_current(self) -> NDArray[np.float64]:
-        """What the servos regulate [joint] in A; the limit may have been lowered since the goal was written."""
+        """Currents that the servos regulate [joint] in A; the limit may have been lowered since the goal was
+        written."""
         bound = self._column("current_limit")
         return self._column("goal_current").clip(-bound, bound) * self._units.current
 
@@ -229,7 +230,7 @@ class EmulatedRobot:
                 servo.trip()
 
     def _measure(self, packet: Packet) -> None:
-        """Bring the registers up to date that an instruction may ask for."""
+        """Update the registers that an instruction may read."""
         board = self.open_cr.id
         if packet.device != board:
             self._refresh()
@@ -241,7 +242,7 @@ class EmulatedRobot:
             self.open_cr.feel(readings, float(readings.voltage.max()))
 
     def _refresh(self) -> None:
-        """Bring the servos' registers up to date with the physics."""
+        """Update the servos' registers from the physics."""
         if not self._stale:
             return
         self._stale, self._refreshed = False, self.time
@@ -260,7 +261,7 @@ class EmulatedRobot:
         self._memory[:, _FIRST:_LAST] = present.view(np.uint8).reshape(len(self._all), -1)
 
     def _check_servos(self) -> None:
-        """The servos watch their own voltage and temperature."""
+        """Let the servos check their voltage and temperature."""
         self.at(self.time + CHECK_PERIOD, self._check_servos)
         if not self._powered:
             return

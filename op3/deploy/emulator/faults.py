@@ -1,4 +1,4 @@
-"""What goes wrong on the bus and in the robot, at random or at a given time: from `start` to `end` [s].
+"""Faults of the bus and the robot, at random or at a given time: from `start` to `end` [s].
 
 `device` is an id on the bus.
 """
@@ -15,7 +15,7 @@ from op3.deploy.registers import HardwareError
 
 @settings("faults")
 class Silent:
-    """A device says nothing and hears nothing, as with a cable pulled."""
+    """A device neither sends nor receives, as with an unplugged cable."""
 
     device: Whole
     start: Number = 0.0
@@ -24,7 +24,7 @@ class Silent:
 
 @settings("faults")
 class FrozenImu:
-    """The IMU's registers keep what they hold."""
+    """The IMU's registers keep their values."""
 
     start: Number = 0.0
     end: float = inf
@@ -32,7 +32,7 @@ class FrozenImu:
 
 @settings("faults")
 class Overheat:
-    """A servo's temperature rises beyond what its current explains, at a rate [K/s]."""
+    """A servo's temperature rises at a rate [K/s], in addition to the heating by its current."""
 
     device: Whole
     start: Number = 0.0
@@ -41,7 +41,7 @@ class Overheat:
 
 @settings("faults")
 class BrownOut:
-    """The supply breaks down to a voltage [V].
+    """The supply drops to a voltage [V].
 
     Below the servos' lower voltage limit they report an input voltage error; below `RESET_VOLTAGE` they lose their
     memory and restart once it is back.
@@ -76,7 +76,7 @@ Scheduled = Silent | FrozenImu | Overheat | BrownOut | HardwareFault | Unplug
 
 @settings("faults")
 class Faults:
-    """What goes wrong. Rates are shares of the packets, drawn independently.
+    """Faults. Rates are shares of the packets, drawn independently.
 
     Losses of 0.0002 and 0.0026 have been seen in the field.
 
@@ -84,10 +84,10 @@ class Faults:
         lost: status packets that never reach the computer.
         corrupt: status packets that reach it with one byte changed.
         truncated: status packets that reach it without their end.
-        late: status packets that reach it late, and all behind them.
+        late: status packets that reach it late, and all packets after them.
         unheard: instruction packets that no device hears.
-        delay: how late a late packet is [s].
-        scheduled: what happens at a given time.
+        delay: delay of a late packet [s].
+        scheduled: faults at given times.
     """
 
     lost: Share = 0.0
@@ -110,7 +110,7 @@ class Faults:
 
     @property
     def spoiling(self) -> float:
-        """Share of the status packets that do not come as they were sent."""
+        """Share of the status packets that are lost or changed."""
         return self.lost + self.corrupt + self.truncated + self.late
 
     def check_on(self, ids: Collection[int]) -> None:

@@ -1,4 +1,4 @@
-"""What the devices do with an instruction, and in which order they answer."""
+"""Reaction of the devices to an instruction, and the order of their answers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from op3.deploy.protocol import (
 )
 
 PING_SLOT = 0.003
-"""How long a broadcast ping waits for each id that does not answer [s]; firmware of the OpenCR."""
+"""Time that a broadcast ping waits for each id that does not answer [s]; firmware of the OpenCR."""
 
 FAST_GAP = 5e-6
 """Pause between devices in a fast read [s] (inferred)."""
@@ -38,13 +38,13 @@ Answer = tuple[float, bytes]
 class Dispatcher:
     """Hands instructions to the devices.
 
-    In sync and bulk reads a device answers when it has heard the one before it, so behind one that is missing nobody
-    answers (as the OpenCR's firmware does it; its patience of 50 ms exceeds the usual timeouts). All of them answer
-    with what their registers held when the instruction ended.
+    In sync and bulk reads a device answers after the answer of the previous one, so after a missing device none answers
+    (as in the OpenCR's firmware; its timeout of 50 ms exceeds the usual ones of computers). All answers contain the
+    registers' values at the end of the instruction.
 
     Args:
         turnaround: from an instruction's end to the answer [s].
-        hears: whether a device hears an instruction now.
+        hears: whether a device receives an instruction at present.
     """
 
     def __init__(self, devices: Sequence[Device], turnaround: float, hears: Callable[[Device], bool]):
@@ -135,7 +135,7 @@ class Dispatcher:
         return answers
 
     def _fast(self, asked: Sequence[tuple[int, int, int]]) -> list[Answer]:
-        """Answers to a fast read; its length is fixed by what was asked, whether all answer or not."""
+        """Answers to a fast read; its length is that of the request, even if some devices do not answer."""
         parts, pauses, silent = [], [], False
         for number, address, length in asked:
             device = self._listening(number)
@@ -170,7 +170,7 @@ def _reads(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]
 
 
 def _writes(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Id, address and data of all that a sync write sets, as far as it is whole."""
+    """Id, address and data of a sync write, as far as it is complete."""
     if len(parameters) > 4:
         address, length = _word(parameters, 0), _word(parameters, 2)
         for at in range(4, len(parameters) - length, length + 1):

@@ -1,4 +1,4 @@
-"""The line between computer and devices: one byte after the other, one speaker at a time; and files of its frames."""
+"""The line between computer and devices: byte after byte, one sender at a time; and files of its frames."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from op3.deploy.protocol import Packet, Parser
 
 @settings("timing")
 class LineTiming:
-    """How long things take on the way: with these values a tick of twenty servos and the IMU takes 5.1 ms at 2 Mbit/s.
+    """Delays of the transmission: with these values a tick of twenty servos and the IMU takes 5.1 ms at 2 Mbit/s.
 
     Attributes:
         host_delay: from a write of the computer to the first bit on the line [s].
         turnaround: from an instruction's end to the answer, besides the register `return_delay_time` [s] (inferred).
         usb_delay: from the adapter to the computer [s].
-        latency_timer: how long the adapter gathers bytes before it sends fewer than `USB_PAYLOAD` [s]. Linux' default
-            for FTDI adapters is 0.016; robots set 0.001.
-        quiet: silence after which a packet that has begun is given up by the devices [s].
+        latency_timer: time for which the adapter collects bytes before it sends fewer than `USB_PAYLOAD` [s]. Linux'
+            default for FTDI adapters is 0.016; robots set 0.001.
+        quiet: silence after which the devices discard an incomplete packet [s].
     """
 
     host_delay: NotNegative = 1e-4
@@ -54,7 +54,7 @@ class Frame:
     Attributes:
         time: when the first bit left [s].
         direction: ">" from the computer, "<" to it.
-        data: as they were on the wire, or reached the computer if a fault hit them.
+        data: bytes on the wire, or those that reached the computer after a fault.
     """
 
     time: float
@@ -90,7 +90,7 @@ Answers = Callable[[Packet, float], list[tuple[float, bytes]]]
 
 
 class Line:
-    """The line, the adapter and what is under way on them.
+    """The line, the adapter, and the bytes under way.
 
     Args:
         rng: decides about faults.
@@ -149,7 +149,7 @@ class Line:
         return begin + len(answer) * byte_time
 
     def _spoil(self, answer: bytes, begin: float) -> bytes:
-        """What reaches the adapter of an answer."""
+        """Bytes of an answer that reach the adapter."""
         faults, rng = self.faults, self._rng
         shares = np.cumsum([faults.lost, faults.corrupt, faults.truncated, faults.late])
         kind = int(np.searchsorted(shares, rng.random(), side="right"))
@@ -199,7 +199,7 @@ class Line:
             self._flush(self._deadline)
 
     def _cut(self, time: float) -> None:
-        """What has not reached the adapter by now never will."""
+        """Drop the bytes that have not reached the adapter yet."""
         self._inbox = deque(entry for entry in self._inbox if entry[0] - self.timing.usb_delay <= time)
         self._adapter.clear()
         self._devices_end = time
@@ -242,7 +242,7 @@ class Line:
         return len(ready)
 
     def take(self, length: int, now: float) -> bytes:
-        """Up to so many of the bytes that wait for the computer."""
+        """A number of bytes that wait for the computer, at most."""
         if len(self._ready) < length:
             self.available(now)
         taken = bytes(self._ready[:length])
@@ -250,6 +250,6 @@ class Line:
         return taken
 
     def discard(self, now: float) -> None:
-        """Forget the bytes that wait for the computer."""
+        """Discard the bytes that wait for the computer."""
         self.available(now)
         self._ready.clear()

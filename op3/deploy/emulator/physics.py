@@ -1,4 +1,4 @@
-"""The robot behind the bus: what it takes to stand there, and the stand-in robot in that place."""
+"""The robot behind the bus: the interface of its physics, and a stand-in robot with this interface."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Physics(Protocol):
     """A robot without its electronics.
 
     Attributes:
-        known: what its file says; its joints are in the order of every [joint] array.
-        supply: voltage of the supply [V]; None where the robot has its own battery.
+        known: content of its file; its joints are in the order of every [joint] array.
+        supply: voltage of the supply [V]; None if the robot has a battery.
     """
 
     known: Robot
@@ -37,28 +37,28 @@ class Physics(Protocol):
         ...
 
     def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
-        """Currents [joint] in A from now on; joints that are not enabled run free, with friction alone."""
+        """Set the currents [joint] in A; joints that are not enabled move freely, with friction only."""
         ...
 
     def advance(self, duration: float) -> None:
-        """Let whole periods of `PERIOD` pass [s]; a RuntimeError if it diverges."""
+        """Simulate whole multiples of `PERIOD` [s]; raises a RuntimeError if the physics diverges."""
         ...
 
     def read(self) -> Sensors:
-        """What all sensors say now in SI units, which the registers round; the IMU where there is one."""
+        """Current readings of all sensors in SI units, before rounding to registers; with the IMU if there is one."""
         ...
 
     def set_ground(self, board: BoardMotion | WeightSchedule | None = None, tiles: ArrayLike | None = None) -> None:
-        """What the ground does from now on, see `op3.stand_in.StandIn.set_ground`."""
+        """Set the motion of the ground, see `op3.stand_in.StandIn.set_ground`."""
         ...
 
     def foremost(self) -> float:
-        """How far ahead the inner tip of the foremost foot is in the world [m]; 0 without feet."""
+        """Forward position of the inner tip of the foremost foot in the world [m]; 0 without feet."""
         ...
 
 
 class StandInPhysics(StandIn):
-    """A stand-in robot, whose truth is hidden, behind the bus. It has its own battery, temperatures and IMU.
+    """A stand-in robot with hidden parameters behind the bus. It has a battery, temperatures and an IMU.
 
     Args:
         seed: of the sensors' noise and the servos' state.

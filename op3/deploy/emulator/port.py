@@ -12,9 +12,8 @@ POLL = 5e-5
 
 
 class VirtualPort(PortHandler):
-    """Takes the place of dynamixel-sdk's `PortHandler`: waiting for bytes lets the emulated time pass.
-
-    Nothing else does. It fails with pyserial's exceptions, as a real port does.
+    """Replaces dynamixel-sdk's `PortHandler`: only waiting for bytes advances the emulated time. It fails with
+    pyserial's exceptions, as a real port does.
     """
 
     def __init__(self, robot: EmulatedRobot):
@@ -40,19 +39,19 @@ class VirtualPort(PortHandler):
             raise SerialException(f"port {self.port_name} is not open: call openPort() first")
 
     def clearPort(self) -> None:
-        """Forget what has arrived."""
+        """Discard received bytes."""
         self._check()
         self._robot.bus.discard(self._clock.now())
 
     def getBytesAvailable(self) -> int:
-        """How many bytes have arrived."""
+        """Number of received bytes."""
         self._check()
         if not self._robot.bus.available(self._clock.now()):
             self._clock.sleep(POLL)  # whoever asks again and again must get on
         return self._robot.bus.available(self._clock.now())
 
     def readPort(self, length: int) -> bytes:
-        """Up to so many bytes; with none there, time passes until some arrive or the packet's timeout is over."""
+        """A number of bytes, at most; without any, time passes until some arrive or the packet's timeout ends."""
         self._check()
         bus, clock = self._robot.bus, self._clock
         now = clock.now()

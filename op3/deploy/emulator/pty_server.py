@@ -28,16 +28,16 @@ _SPEEDS: dict[int, int] = {
 
 
 class PtyServer:
-    """Serves a robot on a pseudo-terminal from a thread of its own.
+    """Serves a robot on a pseudo-terminal in a separate thread.
 
-    Answers arrive when the bus would deliver them, at the earliest; a busy machine makes them later. While it serves,
-    the robot belongs to it: nothing else may let its time pass.
+    Answers arrive when the bus would deliver them, or later on a busy machine. While it serves, no other code may
+    advance the robot's time.
 
     Args:
         baud: speed of the line until a program sets one [bit/s].
 
     Attributes:
-        longest_lag: how far the emulated time has been behind the wall clock at most [s].
+        longest_lag: largest lag of the emulated time behind the wall clock [s].
     """
 
     def __init__(self, robot: EmulatedRobot, baud: int = 2_000_000):
@@ -69,7 +69,7 @@ class PtyServer:
         return self._thread.is_alive()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Wait until it ends by itself, or for a time [s].
+        """Wait until the server ends, or for a time [s].
 
         Raises:
             RuntimeError: if the physics diverged.
@@ -127,7 +127,7 @@ class PtyServer:
             return 0
 
     def _follow_speed(self) -> None:
-        """A program sets its speed on the terminal; a speed that the terminal does not know changes nothing."""
+        """Adopt the baud rate that a program sets on the terminal; an unknown rate is ignored."""
         speed = _SPEEDS.get(termios.tcgetattr(self._slave)[4])
         if speed is not None and speed != self._robot.bus.baud:
             self._robot.bus.baud = speed

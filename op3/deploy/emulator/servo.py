@@ -1,7 +1,7 @@
-"""One Dynamixel X servo: what its registers do when they are written, and when something goes wrong.
+"""One Dynamixel X servo: effects of writes to its registers, and of faults.
 
-Rules of the ROBOTIS e-Manual ("XM430-W350", "DYNAMIXEL Protocol 2.0"). What it leaves open is decided for the worse of
-the plausible behaviours, and marked (inferred). Only current control drives the motor: in another mode it runs free.
+Rules of the ROBOTIS e-Manual ("XM430-W350", "DYNAMIXEL Protocol 2.0"). Where it is silent, the worst plausible
+behaviour is assumed and marked (inferred). Only current control drives the motor: in another mode it runs free.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Servo(Device):
         settings: values of its EEPROM, by register name, where they differ from the factory's.
 
     Attributes:
-        watchdog: time without packets after which the servo frees itself [s]; infinite while it is off.
-        booted: when it last got power or was told to reboot [s].
+        watchdog: time without packets after which the servo switches to free running [s]; infinite while it is off.
+        booted: time of the last power-on or reboot [s].
     """
 
     def __init__(self, device_id: int, index: int, model: int, settings: dict[str, int]):
@@ -59,7 +59,7 @@ class Servo(Device):
 
     @property
     def protocol(self) -> int:
-        """Version that it speaks; of 1.0 it knows pings alone."""
+        """Protocol version; of 1.0 it supports only pings."""
         return self.memory[_PROTOCOL]
 
     @property
@@ -68,7 +68,7 @@ class Servo(Device):
         return self.memory[_TORQUE] != 0
 
     def power(self, on: bool, now: float) -> None:
-        """Give it power, or take it away: the RAM area forgets everything, indirect addresses and errors too."""
+        """Switch its power on or off: the RAM area is reset, with indirect addresses and errors."""
         self.ready = now + BOOT_TIME if on else inf
         self.booted = now if on else self.booted
         for register in self.table:
@@ -79,18 +79,18 @@ class Servo(Device):
         self._places.clear()
 
     def fail(self, error: int) -> None:
-        """A hardware error: it stays until a reboot, and shuts the servo down if `shutdown` says so."""
+        """A hardware error: it remains until a reboot, and shuts the servo down if `shutdown` contains it."""
         self.memory[_HARDWARE_ERROR] |= error
         if self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
             self.memory[_TORQUE] = 0
 
     def trip(self) -> None:
-        """The bus has been silent for too long: free-running, with goals that are read-only until it is cleared."""
+        """Trip the bus watchdog: the servo runs freely, and its goals are read-only until the watchdog is cleared."""
         self.put("bus_watchdog", WATCHDOG_ERROR)
         self.watchdog = inf
 
     def _pointed(self, address: int, end: int) -> list[int]:
-        """Where these addresses point: those of indirect data elsewhere, all others at themselves."""
+        """Targets of these addresses: those of indirect data point elsewhere, all others to themselves."""
         key = address, end
         if key not in self._places:
             places = list(range(address, end))
@@ -133,7 +133,7 @@ class Servo(Device):
         return Error.DATA_LIMIT if beyond else Error.NONE
 
     def written(self, register: Register, value: int) -> None:
-        """What follows from a write."""
+        """Apply the consequences of a write."""
         if register.name == "goal_current":
             return
         if register.name == "operating_mode":

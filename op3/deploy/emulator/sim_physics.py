@@ -49,7 +49,7 @@ BUS_EFFECTS = ("latency", "packet_drop")
 
 
 def behind_bus(model: RobotModel) -> RobotModel:
-    """A model as it stands behind the bus: without a PD and delays of its own; its motor gets currents.
+    """The model behind the bus: without a PD and delays, its motor driven by currents.
 
     Raises:
         ValueError: if the model's motor does not regulate current.
@@ -142,12 +142,12 @@ class SimPhysics(BatchSimulation):
         return self.signals.measured_position[0].numpy()
 
     def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
-        """See `Physics`; a motor that regulates no current at all runs free."""
+        """See `Physics`; a motor that regulates no current runs freely."""
         row = self.law.records[0]
         row["torque_enable"], row["target_current"] = enabled, current * enabled
 
     def advance(self, duration: float = PERIOD) -> None:
-        """Let whole periods pass [s]; a divergence is seen within `SLOW_EVERY` of them."""
+        """Simulate whole periods [s]; a divergence is detected within `SLOW_EVERY` of them."""
         for _ in range(round(duration / PERIOD)):
             if self._board_drive is not None and (self._steps - self._board_since) % GROUND_EVERY == 0:
                 time = np.array([(self._steps - self._board_since) * PERIOD])

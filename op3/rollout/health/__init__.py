@@ -1,4 +1,4 @@
-"""Checks of a log: what cannot be right, what is suspicious, and how to correct it."""
+"""Checks of a log for impossible and suspicious values, with remedies."""
 
 from __future__ import annotations
 

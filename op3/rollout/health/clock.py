@@ -19,7 +19,7 @@ _SPLIT = "split the file there, or write `split: true` into its YAML to read the
 
 
 def _unit(times: float, least: float, most: float) -> str | None:
-    """The unit of which a time is so many, to within these factors."""
+    """The unit of time whose size times `times` is within these bounds; None if there is none."""
     return next((name for size, name in _UNITS.items() if size > 1 and least < size * times < most), None)
 
 
@@ -140,7 +140,7 @@ def stale(view: View) -> Found:
 
 
 def _new_in_every(values: np.ndarray) -> int:
-    """The number of rows that lie between any two of those with new numbers ``[row, name]``; 0 where few have."""
+    """Spacing of the rows with new values ``[row, name]``; 0 if there are few such rows."""
     rows = np.flatnonzero(np.diff(values, axis=0).any(1))
     return int(np.gcd.reduce(np.diff(rows))) if len(rows) >= 20 else 0
 
@@ -158,8 +158,8 @@ def two_clocks(view: View) -> Found:
     usual = (lags * period > -0.05) & (lags * period < _USUAL)
 
     def clearest(*parts: slice) -> tuple[int, list[np.ndarray]]:
-        """The joint that moves most and whose position one delay explains best in all parts of the log, and what its
-        command so long before leaves of it ``[lag]`` in each; nothing where no delay explains nearly all."""
+        """The joint, among those that move most, whose position a delay explains best in all parts of the log, and by
+        part the unexplained share at every delay ``[lag]``; an empty list if no delay explains nearly all."""
         spans = np.min([np.minimum(np.ptp(target[p], axis=0), np.ptp(angle[p], axis=0)) for p in parts], axis=0)
         joints = [j for j in np.argsort(-spans)[:3].tolist() if spans[j] > 0.1]
         curves = {j: [np.fmax(1 - delays(angle[p, j], target[p, j], lags.tolist()), 0) for p in parts] for j in joints}
@@ -186,8 +186,9 @@ def two_clocks(view: View) -> Found:
 
 
 def _after_friction(angle: np.ndarray, target: np.ndarray, period: float) -> float:
-    """What friction in a soft loop, with damping and gravity, leaves of a position, as a share: a delay of slow motions
-    is like it. Friction holds a joint until its command is so far away, and then keeps it as far behind."""
+    """Share of a position that friction in a soft loop, with damping and gravity, does not explain; in slow motions
+    friction resembles a delay. It holds a joint until its command is a certain distance away, and then keeps it that
+    distance behind."""
     left = []
     for width in np.quantile(np.abs(target - angle), [0.25, 0.5, 0.75, 0.9, 0.97]):
         held, at = np.empty(len(target)), float(angle[0])

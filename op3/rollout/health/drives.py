@@ -1,4 +1,4 @@
-"""Checks of the current or duty against what the servo's law asks for."""
+"""Checks of the current or duty against the servo's control law."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def drive(view: View) -> Found:
 
 
 def _law(values: np.ndarray, wanted: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Share of currents [row, joint] that a proportional and a damping term explain, the factor of the first, and what
-    both leave on average."""
+    """Share of currents [row, joint] that a proportional and a damping term explain, the factor of the former, and the
+    mean of the remainder."""
     v, w, s = (x - x.mean(0) for x in (values, wanted, speed))
     vw, vs, ws, ww, ss = ((x * y).mean(0) for x, y in ((v, w), (v, s), (w, s), (w, w), (s, s)))
     spread = np.maximum(ww * ss - ws * ws, 1e-24)

@@ -26,16 +26,16 @@ _MISTAKES = {"all axes read downwards": -np.eye(3)}
 _MISTAKES |= {f"{'xyz'[i]} reads downwards": np.diag(1 - 2 * np.eye(3)[i]) for i in (2, 0, 1)}
 _SWAPS = {"x and y": (1, 0, 2), "x and z": (2, 1, 0), "y and z": (0, 2, 1)}
 _MISTAKES |= {f"{axes} are swapped": np.eye(3)[list(order)] for axes, order in _SWAPS.items()}
-"""What turns gravity round, and what takes it back, the likeliest first."""
+"""Mistakes that change the direction of gravity, and the matrices that correct them, the likeliest first."""
 
 
 def _rotation(angles: np.ndarray, order: Sequence[int] = (0, 1, 2), signs: Sequence[int] = (1, 1, 1)) -> Rotation:
-    """Of the trunk, by roll, pitch and yaw [time, 3] in this order and with these signs."""
+    """Rotation of the trunk, by roll, pitch and yaw [time, 3] in this order and with these signs."""
     return Rotation.from_euler("ZYX", (angles[:, list(order)] * signs)[:, ::-1])
 
 
 def _of_parts(angles: np.ndarray, shift: int) -> Rotation:
-    """That of a quaternion whose components are shifted round."""
+    """Rotation of a quaternion with cyclically shifted components."""
     return Rotation.from_quat(np.roll(_rotation(angles).as_quat(), shift, axis=1))
 
 
@@ -51,7 +51,7 @@ for _signs in itertools.product((1, -1), repeat=3):
         _READ[f"the sign of {_turned} were reversed"] = partial(_rotation, signs=_signs)
 for _order in _SWAPS.values():
     _READ[f"{' and '.join(_ANGLES[np.array(_order) != range(3)])} were swapped"] = partial(_rotation, order=_order)
-"""What an orientation may be that was not read as it was meant, and what it is then."""
+"""Possible misreadings of an orientation, and the orientation that each would mean."""
 
 
 @check("orientation", ORIENTATION, RATE, FORCE, rows=20)
@@ -63,7 +63,7 @@ def orientation(view: View) -> Found:
         return
 
     def misfits(read: Callable[[np.ndarray], Rotation]) -> tuple[float, float]:
-        """Of how it turns with the gyroscope, as a share, and of where up is with the accelerometer."""
+        """Misfit of its rotation to the gyroscope, as a share, and of its vertical to the accelerometer."""
         before, within, after = (read(angles[rows]) for rows in (first, (first + last) // 2, last))
         apart = (before.inv() * after).as_rotvec() - turned
         up = within.inv().apply([0, 0, 1]) - pushed / size[:, None]

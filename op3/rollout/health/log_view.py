@@ -1,4 +1,4 @@
-"""One episode of a log as the checks look at it, and the registry of checks."""
+"""One episode of a log with quantities that several checks use, and the registry of checks."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Where = str | tuple[Key, SupportsInt]
 
 
 class View:
-    """One episode of a log as the checks look at it."""
+    """One episode of a log with quantities that several checks use."""
 
     def __init__(self, log: Rollout):
         self.log, self.metadata, self.joints = log, log.metadata, log.joints
         self.time, self.position, self.command = log.array("time")[:, 0], log.array(POSITION), log.array(COMMAND)
         self.error = self.position - self.command
-        """How far joints are off their targets [time, joint]."""
+        """Position minus target [time, joint]."""
         switch, gain = self.get(SWITCH), self.get(P_GAIN)
         self.off = np.zeros(self.command.shape, bool) if switch is None else switch == 0
         """Whether the log says that the servo is switched off [time, joint]."""
@@ -42,12 +42,12 @@ class View:
 
     @cached_property
     def make(self) -> ServoMake | None:
-        """The make of servo that the metadata name; None where none is known."""
+        """The make of servo in the metadata; None if unknown."""
         return find_servo(self.metadata.servo)
 
     @property
     def position_unit(self) -> float:
-        """Step of the servo's encoder, that of 4096 a turn where the make is unknown [rad]."""
+        """Step of the servo's encoder [rad]; for an unknown make, 4096 per turn."""
         return 2 * np.pi / 4096 if self.make is None else self.make.position_unit
 
     @cached_property
@@ -64,14 +64,14 @@ class View:
 
     @property
     def drives(self) -> list[tuple[Key, np.ndarray, np.ndarray | None]]:
-        """Key, numbers [time, joint] and gain [time, joint] of the currents and duties that are there; None for an
-        unknown gain."""
+        """Key, values [time, joint] and gain [time, joint] of the currents and duties in the log; None for an unknown
+        gain."""
         gains = {CURRENT: self.get(P_GAIN), DUTY: self.duty_gain}
         return [(key, self.log.array(key), gain) for key, gain in gains.items() if key in self.log]
 
     @cached_property
     def robot(self) -> Robot | None:
-        """The robot that the metadata name; None where they name none, or its file is not there."""
+        """The robot in the metadata; None if there is none, or its file does not exist."""
         try:
             return self.log.named_robot if self.metadata.robot_file else None
         except LogError:  # the check of the robot reports it
@@ -88,7 +88,7 @@ class View:
         return stiffness
 
     def supply(self, joint: int | slice = slice(None)) -> float | None:
-        """Median voltage that a joint's servo measures, or all, or that of its bench [V]; None where it is unknown."""
+        """Median voltage that a joint's servo or all servos measure, or the bench's supply [V]; None if unknown."""
         volts, bench = self.get(VOLTAGE), self.metadata.mount == "pendulum"
         measured = 0.0 if volts is None else float(np.median(volts[:, joint]))
         return measured or (self.metadata.battery if bench else None)
@@ -100,7 +100,7 @@ class View:
 
     @property
     def long(self) -> bool:
-        """Whether there are enough windows for their correlations to mean something."""
+        """Whether there are enough windows for meaningful correlations."""
         return len(self.windows[0]) >= 4 * OVERLAP
 
     def turned(self, angles: np.ndarray) -> np.ndarray:
@@ -114,19 +114,20 @@ class View:
 
     @cached_property
     def rates(self) -> Match | None:
-        """Velocities, summed over windows, against how far joints turn there; None without them, or for few windows."""
+        """Match of velocities integrated over windows with the changes of position; None without velocities or for few
+        windows."""
         rate = self.get(VELOCITY)
         if rate is None or len(self.time) < 20 or not self.long:
             return None
         return match(self.summed(rate), self.turned(self.position))
 
     def stride(self, period: float) -> int:
-        """How many rows so long a time is [s], at least one."""
+        """Number of rows in a period [s], at least one."""
         return max(1, round(period / self.interval)) if len(self.time) >= 20 else 1
 
     def thinned(self, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Positions, targets and whether joints are driven [row, joint] in rows that are so far apart [s], and how many
-        rows that is."""
+        """Positions, targets and whether joints are driven [row, joint], in rows with this period [s], and its number
+        of rows."""
         stride = self.stride(period)
         return self.position[::stride], self.command[::stride], self.driven[::stride], stride
 
@@ -135,13 +136,13 @@ class View:
         return self.log.array(key) if key in self.log else None
 
     def steps(self, key: Key) -> np.ndarray:
-        """Step of the grid on which a channel's columns lie ``[name]``, see `step`; worked out once."""
+        """Resolution of a channel's columns ``[name]``, see `step`; cached."""
         if key not in self._steps:
             self._steps[key] = step(self.log.array(key))
         return self._steps[key]
 
     def columns(self, *keys: Key) -> Iterator[tuple[Key, int, np.ndarray]]:
-        """Key, index and numbers [time] of the columns of those channels that are there, in a log of some length."""
+        """Key, index and values [time] of the columns of the existing channels, in a log of at least 20 rows."""
         for key in keys if len(self.time) >= 20 else ():
             values = self.get(key)
             yield from ((key, index, column) for index, column in enumerate(() if values is None else values.T))
@@ -153,8 +154,8 @@ class View:
     def found(
         self, where: Where, problem: str, remedy: str, *rows: SupportsInt, aside: bool = False, error: bool = False
     ) -> LogFinding:
-        """A finding in a column of the wide CSV, or a channel and index, and in a row or from one to another, counted
-        from 0; `aside`: the column is not to be used, and the remedy ends with that; `error`: the log is refused."""
+        """A finding in a column (name in the wide CSV, or channel and index), in one row or from one row to another,
+        counted from 0. `aside`: the column is excluded, which the remedy states; `error`: the log is refused."""
         remedy += "; until then the channel is not used" if aside else ""
         column = where if isinstance(where, str) else self.name(*where)
         first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
@@ -167,8 +168,8 @@ Find = Callable[[View], Found]
 
 
 class LogCheck(NamedTuple):
-    """A check: what it finds, with its line in the documentation as docstring; channels and rows without which it has
-    nothing to say; and earlier checks that explain what it would find: it says nothing where one of them did."""
+    """A check. The docstring of its function is its line in the documentation. It runs if the log has the channels and
+    the number of rows that it needs, unless an earlier check named in `unless` has a finding."""
 
     find: Find
     needs: tuple[Key, ...]
@@ -181,7 +182,7 @@ CHECKS: dict[str, LogCheck] = {}
 
 
 def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[Find], Find]:
-    """Enter a check into the registry; see `LogCheck`, and the names in `unless` are separated by commas."""
+    """Register a check; see `LogCheck`. The names in `unless` are separated by commas."""
 
     def enter(find: Find) -> Find:
         CHECKS[name] = LogCheck(find, needs, rows, tuple(unless.split(", ")))

@@ -1,4 +1,4 @@
-"""Checks of what was written in a column: another one's numbers, a register's, other turns, or single wrong ones."""
+"""Checks of a column's values: those of another column or of a register, whole turns, single outliers."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from op3.rollout.units import UNITS
 
 _LEAPS: dict[Key, float] = {POSITION: 0.06, COMMAND: 0.1, VELOCITY: 5.0, CURRENT: 5.0, VOLTAGE: 2.0, TEMPERATURE: 5.0}
 _LEAPS |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
-"""A single reading leaps at least so far, in the unit of its channel."""
+"""Smallest jump of a single wrong reading, in the unit of its channel."""
 
 _LOST: dict[Key, float] = {VELOCITY: 0.1, COMMAND: 0.1, ORIENTATION: 0.02, RATE: 0.1, FORCE: 1.0, POSITION: 0.02}
-"""Where nothing was read, the rows beside it read at least so much, in the unit of its channel."""
+"""Smallest value in the neighbouring rows of a missing reading, in the unit of its channel."""
 
 TURN = 2 * np.pi
 
 
 def are_radians(values: np.ndarray) -> np.ndarray:
-    """Which columns are angles in rad at all: others are reported by checks of the unit."""
+    """Columns that are angles in rad; others are reported by the checks of units."""
     steps = np.abs(np.diff(values, axis=0))
     return (np.abs(values).max(0) < 50) & ((steps > 1).mean(0) < 0.05 if len(steps) else True)
 
@@ -101,7 +101,7 @@ def unsigned(view: View) -> Found:
 
 
 def _counted(column: np.ndarray, si_unit: str) -> float:
-    """Size of the unit of which numbers are whole 16-bit counts, in the SI unit; 0 where there is none."""
+    """Size in SI units of the register unit in which the values are whole 16-bit counts; 0 if there is none."""
     most = float(column.max())
     fits = (u for u in UNITS.get(si_unit, {}).values() if 2**15 * u < most < 2**16 * u)
     return next((u for u in fits if np.abs(column / u - np.round(column / u)).max() < 0.01), 0.0)

@@ -1,4 +1,4 @@
-"""Checks of what angles and other numbers can be at all: turns, limits, zeros, steps and speeds."""
+"""Checks of possible values of angles and other channels: turns, limits, zeros, steps and speeds."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def beyond_limits(view: View) -> Found:
 
 
 def _turned_round(robot: Robot, angles: dict[str, np.ndarray], wrong: list[str]) -> str:
-    """Which other joints of the same sides stand as their partners' mirror images with the sign reversed, and which
-    stand too near to 0 to say, in words."""
+    """Sentence about other joints of the same sides whose angles are minus their partners' mirror images, and about
+    those too close to 0 to decide."""
     sides, turned, unseen = {name.split("_")[0] for name in wrong}, [], []
     for name in (n for n in angles if n in robot.joints and n not in wrong and n.split("_")[0] in sides):
         partner, sign = robot.mirror[name] if robot.partners else (name, 1)
@@ -102,8 +102,8 @@ def constant_offset(view: View) -> Found:
 
 
 def _sags(view: View) -> np.ndarray:
-    """How far gravity takes each joint off its command, by the robot's masses and its servos' stiffness [joint] in rad;
-    NaN where the robot, its servo or its gain is unknown, or where it stands on its feet."""
+    """Deflection of each joint from its command by gravity, from the robot's masses and its servos' stiffness [joint]
+    in rad; NaN if the robot, its servo or its gain is unknown, or if it stands on its feet."""
     robot, rows = view.robot, np.linspace(0, len(view.time) - 1, 9).astype(int)
     if robot is None or view.metadata.mount not in HOLDING or not set(view.joints) <= set(robot.joints):
         return np.full(len(view.joints), np.nan)
@@ -177,7 +177,7 @@ def bounds(view: View) -> Found:
 
 
 def _goes_round(view: View, bound: float) -> np.ndarray:
-    """Which joints turn more than once: their velocities in rad/s say so too, and most joints do not, ``[joint]``."""
+    """Which joints turn more than once, confirmed by their velocities in rad/s; most joints must not, ``[joint]``."""
     far, fit = np.abs([view.position, view.command]).max((0, 1)) > bound, view.rates
     if fit is None or 2 * far.sum() >= len(far):
         return np.zeros(len(far), bool)

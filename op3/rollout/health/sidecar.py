@@ -1,4 +1,4 @@
-"""Checks of what is said beside the samples."""
+"""Checks of the metadata."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from op3.rollout.match import OVERLAP, fitted
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
-"""Unit, smallest, largest and a typical value of what a bench's sidecar says."""
+"""Unit, smallest, largest and typical value of the metadata of a bench."""
 
 _CHARGE = (0.7, 1.3)  # voltage over that of the battery: cells of 3.7 V give 3.0 to 4.2 V, and cables take some of it
 _FULL = 1.35  # supplies exceed a servo's limits at most by so much: full batteries, small servos run hard (1.22)

@@ -1,4 +1,4 @@
-"""Checks of what stops: channels that stand still or at their largest number, and joints that let go."""
+"""Checks of frozen or clipped channels, and of joints that lose their torque."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def stands_still(view: View) -> Found:
 
 
 def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
-    """Whether a joint comes after its target by so many rows: one that is led by hand may have targets after it."""
+    """Whether a joint follows its target with this delay in rows; targets may instead follow a joint led by hand."""
     if len(target) < 10 * late or min(np.ptp(target), np.ptp(angle)) < 0.2:
         return False
     after, before = delays(angle, target, (late, -late))
@@ -83,7 +83,7 @@ def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
 
 
 def commands_stop(view: View) -> dict[int, tuple[int, int, float]]:
-    """Joints whose targets do not change any more, and that go on as before: first row, last row, and how far [rad]."""
+    """Joints that keep moving although their targets stay constant: first row, last row, and movement [rad]."""
     found, settles, asked = {}, round(_SETTLES / view.interval), np.ptp(view.command, axis=0)
     for joint in np.flatnonzero(asked > 0.1).tolist():
         first, length = longest_run(np.diff(view.command[:, joint]) == 0)
@@ -135,8 +135,8 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
 
 
 def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead: bool) -> bool:
-    """Whether the command of a joint that stood moved by far more than its error spans where it is asked for as much: a
-    weak servo sticks while it moves by no more. Where a joint stands throughout, the others say how well it follows."""
+    """Whether the command of a joint that stood moved by far more than the joint's errors at similar commands, within
+    which a weak servo may stick. If the joint stands throughout, the errors of the other joints are used."""
     moving = np.ones(len(view.time), bool)
     moving[stands] = dead
     joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
@@ -146,8 +146,8 @@ def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead
 
 
 def _sensors_stand(view: View, rows: int) -> Found:
-    """Sensors that hold one number throughout, where they cannot, and currents and inertial sensors that keep their
-    numbers for far longer than ever else, while a joint moves."""
+    """Sensors with one impossible constant value throughout, and currents and inertial sensors whose values stay
+    constant for far longer than elsewhere while a joint moves."""
     gyroscope, angles = turned_by_gyroscope(view), view.get(ORIENTATION)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
     turns = bool((np.ptp(gyroscope, axis=0) > 0.05).any()) and not held(view)
@@ -177,13 +177,13 @@ def _sensors_stand(view: View, rows: int) -> Found:
 
 
 def held(view: View) -> bool:
-    """Whether the accelerometer is so still that the trunk is held, and turns no further than its orientation says."""
+    """Whether the accelerometer is so still that the trunk is held, and rotates no more than its orientation."""
     force = view.get(FORCE)
     return force is not None and 0 < float(force.std(0).max()) < _SHAKEN
 
 
 def turned_by_gyroscope(view: View) -> np.ndarray:
-    """Integral of the gyroscope [time, axis] without its bias, which is no turning, and single wrong readings."""
+    """Integral of the gyroscope [time, axis] without its bias and single wrong readings."""
     if RATE not in view.log:
         return np.zeros((len(view.time), 3))
     rates = view.log.array(RATE).copy()
@@ -217,7 +217,8 @@ def lets_go(view: View) -> Found:
 
 
 def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval: float) -> list[tuple[int, int]]:
-    """First and last row in which nothing is given, where much is asked for in some, and at other times it is given."""
+    """First and last rows of periods without current although the control law requires it, if there is current at other
+    times."""
     size = np.abs(wanted)
     if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
         return []
@@ -262,8 +263,8 @@ def _astray(view: View, reported: set[int]) -> Found:
 
 
 def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: float, past: int) -> tuple[list, float]:
-    """Where a joint that is so far off [row] is not pulled back in the next rows, and much further off than otherwise:
-    first row, the row behind, and how far off, of each time; and how far it is off otherwise."""
+    """Periods in which a joint is much further from its target than at other times, `off` [row], and is not pulled
+    back: first row, row after the last one, and distance; and its usual distance."""
     ahead, rows = (max(2, round(time / period)) for time in (_WITHIN, _LETS_GO))
     moved = angle[ahead:] - angle[:-ahead]
     back = -np.sign(off[: len(moved)]) * moved
@@ -311,7 +312,7 @@ def unrelated(view: View) -> Found:
 
 
 def _is_torque(angle: np.ndarray, command: np.ndarray, period: float) -> bool:
-    """Whether a motion explains a command as the torque that drives it; of a single sine anything does."""
+    """Whether a command can be the torque that drives the motion; a motion at a single frequency cannot show this."""
     width = max(1, round(0.06 / period))
     speed = np.gradient(np.convolve(angle, np.ones(width) / width, "same"), period)
     ones, inside = np.ones(len(angle)), slice(2 * width, -2 * width)

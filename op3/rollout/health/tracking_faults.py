@@ -1,4 +1,4 @@
-"""Checks of positions against commands: whose they are, and of what unit and sign."""
+"""Checks of positions against commands: joint, unit and sign."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _GEAR = "check the resolution and the gear ratio of the conversion"
 
 
 def exchanged(view: View) -> dict[int, int]:
-    """Joints that are where others are commanded to be, round in a circle, and whose command each follows. All others
-    follow their own; where commands are alike, whose a position is makes no difference."""
+    """Joints that follow each other's commands in a cycle, and whose command each follows. All others follow their own;
+    between equal commands the assignment does not matter."""
     rows = np.flatnonzero(view.driven.all(1))
     rows = rows[:: 1 + len(rows) // 1000]
     if len(rows) < 20:
@@ -105,7 +105,7 @@ def command(view: View) -> Found:
 def _unit(view: View, joint: int, ratio: float) -> str | None:
     """Whether a position or its command is in another unit, in words; None where no unit or more than one fits.
 
-    A soft servo moves less than its command, but its velocity says how far, and so do the steps of its encoder. The
+    A soft servo moves less than its command, but its velocity and the steps of its encoder show how far. The
     position moves `ratio` times as far as its command.
     """
     sizes = [(who, unit, size) for who in ("it", "the command") for unit, size in UNITS["rad"].items()]

@@ -1,4 +1,4 @@
-"""Checks of velocities against the change of position: factor, sign, delay, zero, noise, and whose they really are."""
+"""Checks of velocities against the change of position: factor, sign, delay, zero, noise, and joint."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def velocity(view: View) -> Found:
 
 
 def _gross(view: View, fit: Match, joint: int, summed: np.ndarray) -> tuple[str, float | None] | None:
-    """What is wrong with the velocity of a joint that moves, and the factor where it is one."""
+    """The fault of the velocity of a moving joint, and its factor if it is a factor."""
     own, ratio = fit.own[joint], float(fit.ratio[joint, joint])
     sure = np.where(np.arange(len(fit.own)) == joint, 0.0, fit.correlation[joint])
     other = view.joints[sure.argmax()] if sure.max() > 0.97 and (abs(own) < SURE or ratio < 0) else None
@@ -94,7 +94,7 @@ def _gross(view: View, fit: Match, joint: int, summed: np.ndarray) -> tuple[str,
 
 
 def _says(ratio: float, interval: float) -> str:
-    """What a factor between velocity and the change of position means, in words."""
+    """The meaning of a factor between velocity and the change of position, in words."""
     if abs(ratio / interval - 1) < 0.03:
         return ", as if it were the difference from row to row"
     # registers count in steps of a velocity, a derivative of positions in their unit per second
@@ -104,7 +104,8 @@ def _says(ratio: float, interval: float) -> str:
 
 
 def _late(view: View, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
-    """How long after the position's change velocity comes [s], their correlation then, and the least up to there."""
+    """Delay of the velocity after the change of position [s], their correlation at it, and the smallest one up to
+    it."""
     rows, stride = int(view.windows[1][0] - view.windows[0][0]), view.stride(0.02)
     most = min(round(1.0 / view.interval), len(view.time) // 3)
     turned, summed = (x[rows:] - x[:-rows] for x in (angle, integral(view.time, rate)))
@@ -116,7 +117,7 @@ def _late(view: View, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float
 
 
 def _weighed(causes: np.ndarray, summed: np.ndarray, count: float) -> tuple[np.ndarray, ...]:
-    """Weights of the causes by least squares, their standard errors, and which windows count: none that is far off."""
+    """Weights of the causes by least squares, their standard errors, and which windows are used: outliers are not."""
     weights, weighed, left, counts = np.zeros(4), causes, summed, np.ones(len(causes), bool)
     for _ in range(4):
         spread = max(float(left[counts].std()), count / 4, 1e-6) * np.sqrt(OVERLAP)
@@ -133,7 +134,7 @@ def _weighed(causes: np.ndarray, summed: np.ndarray, count: float) -> tuple[np.n
 
 
 def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
-    """What a joint's velocities [time] differ in from the change of its position; factor and delay where it moves."""
+    """Differences of a joint's velocities [time] from the change of its position; factor and delay only if it moves."""
     angle, near, interval, grid = view.position[:, joint], view.stride(0.02), view.interval, view.steps(VELOCITY)[joint]
     inside = (view.windows[0] >= near) & (view.windows[1] < len(angle) - near)
     first, last = (rows[inside] for rows in view.windows[:2])

@@ -1,4 +1,4 @@
-"""Readers of log formats: a file each, found by name, and those of other packages by their entry points."""
+"""Readers of log formats: one module each, and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OURS = {
 
 @functools.cache
 def readers() -> dict[str, Reader]:
-    """All readers by name; those of other packages come first, so that they can take a path over."""
+    """All readers by name; those of other packages come first, so that they can claim a path before ours."""
     found: dict[str, Reader] = {entry.name: entry.load()() for entry in entry_points(group="op3.readers")}
     for name, place in _OURS.items():
         module, _, kind = place.partition(":")

@@ -22,7 +22,7 @@ _LISTED = re.compile(r"(.*\.)(?:joint_)?names?(\d+)")
 
 
 class CsvTable:
-    """A table with a header; columns that are not ours by name need `columns:` in the YAML beside it."""
+    """A table with a header; other column names than those of the wide CSV need `columns:` in the YAML beside it."""
 
     title = "CSV, wide or long"
     paths = "<name>.csv"
@@ -88,7 +88,7 @@ def _clock(header: list[str]) -> tuple[str, Column] | None:
 
 
 def _long(header: list[str], table: np.ndarray, codes: dict[str, Codes]) -> Recording:
-    """A stream per joint, or per joint and kind of value; those of the same times are one."""
+    """A stream per joint, or per joint and quantity; streams with equal times are merged."""
     values = [name for name in header if name not in codes]
     clock = _clock(values)
     if clock is None:

@@ -1,10 +1,10 @@
 """HDF5 with arrays [time, joint] by name: episodes as ALOHA records, and others of that kind.
 
-Groups that are numbered, such as `demo_0`, are recordings of their own. Of arrays of one name in other groups, those of
-a leader are targets, and the rest keep the group in their name. Joints are named by what the file says, else as ALOHA's
-where there are as many, and by `columns:` of the YAML. ALOHA's files hold `observations/qpos`, `qvel`, `effort` and
-`action` of one or two arms of six joints and a gripper, at 50 rows per second, without times. Its grippers run from 0
-to 1 of an opening that the file does not state, so that they are left out.
+Numbered groups, such as `demo_0`, are separate recordings. Of arrays of one name in other groups, those of
+a leader are targets, and the rest keep the group in their name. Joints are named by the file, else as ALOHA's if there
+are as many, or by `columns:` of the YAML. ALOHA's files hold `observations/qpos`, `qvel`, `effort` and `action` of one
+or two arms of six joints and a gripper, at 50 rows per second, without times. Its grippers are normalised from 0 to 1
+by an opening that the file does not state, so they are left out.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, an episode per recording.
 
 A motor's bare name means its position. All body joints of a dataset have one unit: degrees, radians, or -100 to 100
-over a joint's range; a gripper has 0 to 100 over its range. Ranges stand in LeRobot's `calibration/.../<robot>.json`,
-copied into the folder as `calibration.json`. The unit is what names, `info.json` or an old calibration say, else that
-on whose grid of encoder counts the positions of all joints lie.
+over a joint's range; a gripper has 0 to 100 over its range. Ranges are in LeRobot's `calibration/.../<robot>.json`, to
+be copied into the folder as `calibration.json`. The unit is that of names, `info.json` or an old calibration; otherwise
+the one in which the positions of all joints are whole encoder counts.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TURN = 4096
 """Counts of a turn."""
 
 _NORMAL = 100.5
-"""Normalised numbers go to 100, and hardly beyond."""
+"""Largest normalised number: 100 with a small margin."""
 
 _ON, _OFF = 0.1, 0.15
 """Numbers are on a grid where they are this near, and off it where they are further, in its steps; 0.29 by chance."""
@@ -38,7 +38,7 @@ _HANDS = ("gripper", "grip", "jaw", "jaws", "claw", "finger", "fingers", "thumb"
 """Ends of words in names of joints that open and close."""
 
 _WRITES_GAIN = re.compile("so-?10[01]|lekiwi")
-"""Robots to whose servos LeRobot writes a position gain of its own, and which."""
+"""Position gains that LeRobot writes to servos, by robot."""
 
 _GAIN = 16.0
 
@@ -115,7 +115,7 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
 
 
 def _with_channel(name: str) -> str:
-    """The name with what is measured in it: a position where it says nothing, and no sensor of the trunk."""
+    """The name with its quantity appended: a position if it names none and is no sensor of the trunk."""
     meant = guess(name)
     says = meant is not None and meant.name is not None and (not meant.name.startswith("imu") or "imu" in name.lower())
     return name if says else f"{name}.pos"
@@ -138,7 +138,7 @@ def _parquet(path: Path, columns: list[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Range:
-    """What a calibration says of a joint.
+    """Calibration of a joint.
 
     Attributes:
         counts: Of its range; 0 where there is none.
@@ -179,7 +179,7 @@ def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
 
 
 def _said(content: Any) -> str | None:
-    """The unit of body joints that a description says somewhere."""
+    """The unit of body joints, if any text of a description states it."""
     if isinstance(content, dict):
         if isinstance(content.get("use_degrees"), bool):
             return "deg" if content["use_degrees"] else "normalised"
@@ -190,7 +190,7 @@ def _said(content: Any) -> str | None:
 
 
 def _apart(values: np.ndarray, step: float) -> float:
-    """How far numbers are from a grid through the first of them, in its steps; NaN where they span few of these."""
+    """Distance of numbers from a grid through the first of them, in steps of the grid; NaN if they span few steps."""
     if not 0 < step < np.ptp(values) / 5:
         return math.nan
     steps = (values - values[0]) / step
@@ -206,7 +206,7 @@ def _grids(unit: str, counts: float) -> tuple[float, ...]:
 
 
 def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range]) -> float:
-    """How far the joints' numbers are from the grid of a unit, in its steps; NaN where that shows in none."""
+    """Distance of the joints' numbers from the grid of a unit, in its steps; NaN if no joint shows it."""
     every = [
         [_apart(values, grid) for grid in _grids(unit, ranges.get(joint, _Range()).counts)]
         for joint, values in joints.items()
@@ -218,7 +218,7 @@ def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _R
 def _body_unit(
     joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range], said: str | None
 ) -> tuple[str, str, LogFinding | None]:
-    """The unit of the body's joints, what says so, and the doubt that is left of it."""
+    """The unit of the body's joints, its source, and the remaining doubt."""
     if said is not None:
         return said, "info.json says so", None
     if {known.unit for joint, known in ranges.items() if joint in joints} - {""}:
@@ -264,7 +264,7 @@ def _body_unit(
 def _units(
     columns: dict[str, np.ndarray], meanings: dict[str, Column], info: dict[str, Any], path: Path
 ) -> list[LogFinding]:
-    """Give positions and targets their unit; what remains doubtful is handed back."""
+    """Set the unit of positions and targets; returns the remaining doubts."""
     angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
     named = {name: next((u for u in map(canonical, _words(name)) if u in ("deg", "rad")), None) for name in angles}
     joint_of = {name: str(column.name).rpartition(".")[0] for name, column in angles.items()}
@@ -318,7 +318,7 @@ def _words(name: str) -> set[str]:
 
 
 def _opens(joint: str, values: np.ndarray, ranges: Mapping[str, _Range]) -> bool:
-    """Whether a joint's numbers may run from 0 to 100 over its range, and its name or their grid says that they do."""
+    """Whether a joint's numbers are 0 to 100 over its range: they fit, and its name or their grid confirms it."""
     if values.min() < 100 - _NORMAL or values.max() > _NORMAL:
         return False
     if ranges.get(joint, _Range()).unit == "percent" or any(word.endswith(_HANDS) for word in _words(joint)):

@@ -31,7 +31,7 @@ class Npz:
     paths = "<name>.npz, or a folder of sysid's control and state files"
 
     def claims(self, path: Path) -> bool:
-        """By the ending, or a folder of time series that make one recording."""
+        """By the ending, or a folder of time series that form one recording."""
         if not path.is_dir():
             return path.suffix == ".npz"
         files = sorted(path.glob("*.npz"))

@@ -1,9 +1,9 @@
-"""What a reader of a log format is, and what it hands over.
+"""The interface of a reader of a log format, and its result.
 
-A reader is a small class that says which paths are its own and what is in them: columns by their names in the
-file, each group with its clock, and what the format itself says about them. Naming, units, resampling, options
-of the import, checks and the building of a `Rollout` are the same for all formats (`op3.rollout.importing`).
-Another package adds a format by an entry point of the group `op3.readers` that names such a class.
+A reader is a small class that claims paths and returns their content: columns by their names in the file, each group
+with its clock, and the meanings that the format defines. Naming, units, resampling, options of the import, checks and
+the building of a `Rollout` are the same for all formats (`op3.rollout.importing`). Another package adds a format by an
+entry point of the group `op3.readers` that names such a class.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from op3.rollout.rollout import Rollout
 
 @settings("the entry")
 class Column:
-    """What a column of a file means: the SI value is ``sign * size of the unit * number + offset``.
+    """Meaning of a column of a file: the SI value is ``sign * size of the unit * number + offset``.
 
     Attributes:
         name: Column of the wide CSV (`elbow.position`, `imu.gyro_x`, `time`); None where it is left out.
         unit: Name of a unit, or its size in the SI unit; None for the SI unit.
         sign: 1 or -1.
         offset: Added at the end, in the SI unit.
-        why: What the meaning was guessed from; empty where the file or the user says it.
+        why: What the meaning was guessed from; empty if the file or the user states it.
     """
 
     name: str | None = None
@@ -46,7 +46,7 @@ class Stream:
     """Columns that share a clock.
 
     Attributes:
-        time: Time of each row [time] in s, where no column means `time`.
+        time: Time of each row [time] in s, if no column means `time`.
         columns: Numbers by the column's name in the file, each [time].
     """
 
@@ -56,15 +56,15 @@ class Stream:
 
 @dataclass
 class Recording:
-    """What a file holds, before names and units are ours.
+    """Content of a file, before names and units are converted.
 
     Attributes:
-        streams: The first gives the rows; the others are brought onto its clock, their delay kept.
-        metadata: Fields of `Metadata` that the file tells.
-        columns: Meaning of columns where the format tells or hints at it, by their names in the file.
-        name: Identity of the recording; the file's name where empty.
-        strict: Whether the YAML beside it must be there, and a column without a meaning is refused, not left out.
-        doubts: What the reader guessed and cannot know; one about a column lasts until the YAML says what that is.
+        streams: The first defines the rows; the others are resampled to its times, their delay kept.
+        metadata: Fields of `Metadata` that the file states.
+        columns: Meaning of columns, if the format states or suggests it, by their names in the file.
+        name: Id of the recording; empty: the file's name.
+        strict: Whether a YAML beside it is required, and a column without a meaning is refused instead of left out.
+        doubts: Guesses of the reader; a doubt about a column lasts until the YAML describes the column.
     """
 
     streams: list[Stream]
@@ -76,7 +76,7 @@ class Recording:
 
 
 def needed(module: str, extra: str, path: Path) -> Any:
-    """A module of a package that not everybody has; refused with what installs it where it is missing."""
+    """A module of an optional package; if it is missing, the error states how to install it."""
     try:
         return import_module(module)
     except ImportError:
@@ -89,16 +89,16 @@ class Reader(Protocol):
 
     Attributes:
         title: Name of the format, for the table of formats.
-        paths: What a path of it looks like, for the table and for messages.
+        paths: Example of a path, for the table and for messages.
     """
 
     title: str
     paths: str
 
     def claims(self, path: Path) -> bool:
-        """Whether an existing path is of this format, by its name or a look at its beginning; never raises."""
+        """Whether an existing path has this format, by its name or its first bytes; never raises."""
         ...
 
     def read(self, path: Path) -> Sequence[Recording | Rollout]:
-        """The recordings in it, one per episode; raises `LogError` with one sentence."""
+        """The recordings of a path, one per episode; raises `LogError` with one sentence."""
         ...

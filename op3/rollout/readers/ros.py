@@ -2,7 +2,7 @@
 
 States come from `JointState`, commands from every message with joint names and positions (`JointTrajectory`,
 controller states, `JointState` on a command topic or of a leader, arrays), the trunk from `Imu`. A trajectory is
-followed as controllers do: from where the joint was told to be, to its points, until the next one comes.
+interpolated as controllers do: from the joint's last target through its points, until the next trajectory arrives.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from op3.rollout.validate import INSTANT
 
 _COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
 _LEADERS = ("leader", "master", "teleop")
-"""Words in topics of states that others are told to follow."""
+"""Words in topics of leaders, whose states others follow."""
 
 _FOLLOWERS = ("follower", "puppet", "slave")
 """First words in names of joints that follow, where those of the others' begin with one of `_LEADERS`."""
@@ -35,21 +35,21 @@ _TRAJECTORY_STEP = 0.01
 """Time between samples of a trajectory [s]."""
 
 _SHARED = 1.0
-"""Clocks of headers that are set alike differ by no more [s]."""
+"""Largest difference of synchronised clocks of headers [s]."""
 
 _PUBLISHED = 5
-"""A second publisher shows so often at least."""
+"""Smallest number of messages by which a second publisher is recognised."""
 
 _BETWEEN = 0.15
 """Messages of a second publisher of commands stand singly between others that are no further apart [s]."""
 
 _LEAPS = 0.02
-"""What a joint moves from message to message is at most so much, or ten times as much as usual [rad]."""
+"""Largest movement of a joint between messages [rad], or ten times its usual movement."""
 
 
 @dataclass
 class Topic:
-    """What a topic says of some columns.
+    """Messages of a topic about some columns.
 
     Attributes:
         name: Of the topic.
@@ -120,7 +120,8 @@ def is_bag(folder: Path) -> bool:
 
 
 def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> None:
-    """Leave out messages of zeros that a second publisher puts between a topic's others; refuse where both differ."""
+    """Remove messages of zeros by a second publisher of a topic; refuse the log if both publishers send other
+    values."""
     for topic in (one for one in topics if len(one.rows) >= 20):
         if not (states := topic.ends("position")) and not (topic.ends("target") or topic.is_array):
             continue
@@ -160,7 +161,7 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
 
 
 def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
-    """Whether rows of a kind stand one by one, or two by two, shortly between others, nearly always."""
+    """Whether nearly all rows of a kind are single or in pairs, shortly between other rows."""
     edges = np.flatnonzero(np.diff(rows.astype(int)))
     begin, end = edges[rows[edges + 1]], edges[~rows[edges + 1]]
     end = end[end > begin[0]] if len(begin) else end
@@ -170,8 +171,8 @@ def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
 
 
 def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
-    """A topic for each group of columns: relays are left out, states of a leader are commands, two that differ and
-    states without commands are refused."""
+    """A topic for each group of columns: relays are left out, states of a leader are commands; two different topics,
+    and states without commands, are refused."""
     told = any(topic.ends("target") or topic.is_array for topic in topics)
     states = [topic for topic in topics if topic.kind == "JointState" and topic.ends("position")]
     leads = [topic for topic in states if any(word in topic.name.lower() for word in _LEADERS)]
@@ -207,7 +208,7 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
 
 
 def _behind(name: str, other: str) -> bool:
-    """Whether a name is the other behind a namespace, or the one who leads it."""
+    """Whether a name is the other one with a namespace, or its leader."""
     (first, _, rest), (lead, _, same) = name.partition("_"), other.partition("_")
     return name.endswith(f"_{other}") or (first in _FOLLOWERS and lead in _LEADERS and rest == same)
 
@@ -220,13 +221,13 @@ def _differ(topic: Topic, other: Topic, path: Path, column: str) -> LogError:
 
 
 def _content(topic: Topic, names: list[str]) -> set[tuple[float, ...]]:
-    """What rows say in some columns and when, whenever they were received."""
+    """Values and times of some columns, in the order of time."""
     places = [2 + topic.columns.index(name) for name in names]
     return {(0.0 if math.isnan(row[0]) else row[0], *(row[place] for place in places)) for row in topic.rows}
 
 
 def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
-    """Topic, kind, time in the bag [s] and content of the messages that may be about joints or the trunk."""
+    """Topic, type, time in the bag [s] and content of messages that may describe joints or the trunk."""
     highlevel, typesys = (needed(f"rosbags.{name}", "ros", path) for name in ("highlevel", "typesys"))
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
@@ -307,7 +308,7 @@ def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[
 
 
 def _clocks(topics: list[Topic]) -> list[np.ndarray]:
-    """Times of each topic's messages: the headers' where all that have one share a clock, else the bag's.
+    """Times of each topic's messages: those of the headers if all headers share a clock, else those of the bag.
 
     A simulation's headers run at another speed than the bag. Messages without a header are put on the headers' clock by
     when they were received.
@@ -330,8 +331,8 @@ def _clocks(topics: list[Topic]) -> list[np.ndarray]:
 
 
 def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np.ndarray, np.ndarray]:
-    """Times and targets of trajectories as a controller follows them: each begins where its joints were told to be, or
-    stood at first, and ends where the next begins."""
+    """Times and targets of trajectories as a controller interpolates them: each begins at the last target, or at first
+    at the measured position, and ends when the next begins."""
     order = np.argsort(time, kind="stable")
     at = {name: (s.time, values) for s in streams for name, values in s.columns.items()}
     names = [column.replace(".target", ".position") for column in topic.columns]
@@ -362,11 +363,10 @@ def _order(
     path: Path,
     doubts: list[LogFinding],
 ) -> tuple[str, ...]:
-    """Whose targets the numbers of an array are: of the joints whose positions come nearest to them, and that no other
-    array has taken.
+    """The joints of an array of targets: those with the nearest positions that no other array has.
 
     Raises:
-        LogError: where that is unclear.
+        LogError: if the assignment is ambiguous.
     """
     states = {n: (s.time, values) for s in streams for n, values in s.columns.items() if n.endswith(".position")}
     names, width = [name for name in states if name.replace(".position", ".target") not in taken], values.shape[1]

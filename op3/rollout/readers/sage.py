@@ -1,6 +1,6 @@
 """SAGE pairs: a folder with `control.csv`, `state_motor.csv` and `joint_list.txt`, each plain or packed.
 
-Commands and states have time stamps of their own, in microseconds of one clock.
+Commands and states have separate time stamps, in microseconds of one clock.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Sage:
     paths = "<folder with control.csv, state_motor.csv, joint_list.txt>"
 
     def claims(self, path: Path) -> bool:
-        """By the files in the folder; one of them with the list beside it is refused by what it belongs to."""
+        """By the files in the folder; a single file of a pair is refused, with the folder as remedy."""
         if path.is_file():
             return path.name.startswith(_EVERY[:2]) and (path.parent / _EVERY[2]).is_file()
         there = [any(path.glob(f"{name}*")) for name in _EVERY]

@@ -79,7 +79,7 @@ def _metadata(header: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """Channels in SI of what was read beside position and speed; a reading that is zero throughout was not taken."""
+    """Channels in SI units besides position and speed; readings that are zero throughout are omitted."""
     make = find_servo(str(header["motor"]))
     recorded = None if make is None else make.recorded
     read = {name: values for name, values in table.items() if values.any()}

@@ -19,7 +19,7 @@ from op3.rollout.readers.text import open_text
 from op3.rollout.units import UNITS, canonical
 
 Codes = dict[str, int]
-"""Texts of a column by the numbers that stand for them in the table."""
+"""Texts of a column, by their numeric codes in the table."""
 
 
 def read_table(
@@ -27,7 +27,7 @@ def read_table(
 ) -> tuple[list[str], np.ndarray, dict[str, Codes]]:
     """Header, numbers [row, column], and the codes of columns that hold texts.
 
-    Cells may have decimal commas, hold nothing, or times of the day: numpy is told only where it needs to be.
+    Cells may have decimal commas, be empty, or hold times of day; the slower parser is used only for such tables.
 
     Args:
         path: Of the file.
@@ -85,7 +85,7 @@ def _number(cell: str) -> float:
 
 
 def _fault(said: str, header: list[str]) -> LogError:
-    """What numpy says of a cell that is not a number, or of a row with more or fewer cells than those before."""
+    """Numpy's message about a cell that is not a number, or a row with another number of cells."""
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
         column, row, text = header[min(int(cell[3]), len(header)) - 1], int(cell[2]) + 1, cell[1].strip()
         problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or remove the row"
@@ -111,7 +111,7 @@ def _fault(said: str, header: list[str]) -> LogError:
 def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
     """Names, what separates them, whether rows end with a separator, and the rows.
 
-    Passes over what Excel writes, and over remarks: a line behind `#` or `%` is the header only where rows follow it.
+    Skips additions of Excel and comments: a line after `#` or `%` is the header only if rows follow it.
     """
     remark = first = ""
     for line in lines:

@@ -23,7 +23,7 @@ _PACKED = {".xz": lzma.open, ".gz": gzip.open, ".bz2": bz2.open}
 _BEGINNINGS = {b"\xfd7zXZ\0": ".xz", b"\x1f\x8b": ".gz", b"BZh": ".bz2"}
 
 _MOST = 1 << 30
-"""No log is so large when unpacked [B]; a few bytes can be packed so that they fill the memory."""
+"""Largest unpacked size of a log [B]: a small archive could otherwise fill the memory."""
 
 
 def unpacked(path: Path) -> Path:
@@ -66,7 +66,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def _encoding(beginning: bytes) -> str:
-    """Of a text, by its mark of order, or by the zeros between letters."""
+    """Encoding of a text, by its byte order mark or by the zeros between letters."""
     if beginning in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
         return "utf-32"
     if beginning[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -113,7 +113,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A mapping in which every key stands once."""
+    """A mapping; duplicate keys are refused."""
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
@@ -123,7 +123,7 @@ def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def numbers(cells: Sequence[Any], source: Path, column: str, width: int = 1) -> np.ndarray:
-    """Cells of a column as finite numbers [row, width]; the first that does not hold them is named by its row."""
+    """Cells of a column as finite numbers [row, width]; the error names the row of the first other cell."""
     table = _table(cells, width)
     if table is not None:
         return table

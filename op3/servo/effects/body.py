@@ -75,7 +75,7 @@ class LinkMass(Effect):
     name = "link_mass"
     stage = Stage.BODY
     equation = "m_link += dm"
-    source = "models from CAD miss screws and cables; range our own choice"
+    source = "models from CAD miss screws and cables; range chosen by us"
     parameters = (Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),)
     edits = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
     secants = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
@@ -92,7 +92,7 @@ class LinkCentreOfMass(Effect):
     name = "link_com"
     stage = Stage.BODY
     equation = "c_link += (dx, dy, dz)"
-    source = "models from CAD miss screws and cables; range our own choice"
+    source = "models from CAD miss screws and cables; range chosen by us"
     parameters = (
         Parameter("link_com_offset_x", "m", -0.02, 0.02, 0.0, 0.0, "forwards in the stand pose with straight legs"),
         Parameter("link_com_offset_y", "m", -0.02, 0.02, 0.0, 0.0, "to the left"),

@@ -39,7 +39,7 @@ class PacketDrop(Effect):
     stage = Stage.TRANSPORT
     rank = -1
     equation = "u_k = u_{k-1} with probability p"
-    source = "half-duplex bus, checksum errors; range our own choice"
+    source = "half-duplex bus, checksum errors; range chosen by us"
     parameters = (Parameter("drop_probability", "-", 0.0, 0.1, 0.0, 0.0, "p", per_joint=False, least=0.0, most=1.0),)
     memory = ("held", "number")
     secants = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
@@ -52,7 +52,7 @@ class PacketDrop(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first command has arrived."""
+        """The first command counts as received."""
         s.packet_drop_held = s.target_current if p.packet_drop_signal == CURRENT else s.goal
 
     @staticmethod

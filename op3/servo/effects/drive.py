@@ -52,7 +52,7 @@ class Latency(Effect):
     name = "latency"
     stage = Stage.TRANSPORT
     equation = "u(t) -> u(t - d)"
-    source = "a read and a write of twenty servos at 2 Mbit/s, 3 ms and more; range our own choice, two control periods"
+    source = "a read and a write of twenty servos at 2 Mbit/s, 3 ms and more; range chosen by us, two control periods"
     parameters = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )

@@ -26,7 +26,7 @@ class TorqueConstant(Effect):
     equation = "Kt *= 1 + e"
     source = (
         "XM430-W350: 1.78 N m/A at stall against 2.49 V s/rad from its no-load speed at 12 V (ROBOTIS e-Manual); range"
-        " our own choice, nearly as far as these are apart"
+        " chosen by us, nearly the difference of these values"
     )
     parameters = (Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),)
     secants = ({"torque_constant_error": 0.05},)
@@ -45,7 +45,7 @@ class TerminalResistance(Effect):
     name = "terminal_resistance"
     stage = Stage.DRIVER
     equation = "R *= (1 + e) (1 + a (T - 25 C))"
-    source = "copper: 0.00393 per K at 20 C (IEC 60028); range our own choice, that with half as much again"
+    source = "copper: 0.00393 per K at 20 C (IEC 60028); range chosen by us, that with half as much again"
     parameters = (
         Parameter("terminal_resistance_error", "-", -0.3, 0.3, 0.0, 0.0, "e, relative", least=-0.9),
         Parameter("resistance_temperature_coefficient", "1/K", 0.0, 0.006, 0.0, 0.0, "a, per measured K", least=0.0),
@@ -102,7 +102,7 @@ class VoltageSag(Effect):
     name = "voltage_sag"
     stage = Stage.TRANSPORT
     equation = "V_bus = V0 - Rb sum |I|"
-    source = "Ohm's law of battery and harness; range our own choice"
+    source = "Ohm's law of battery and harness; range chosen by us"
     parameters = (Parameter("supply_resistance", "ohm", 0.0, 0.6, 0.0, 0.0, "Rb", per_joint=False, least=0.0),)
     memory = ("drawn",)
     constants = ("keep",)
@@ -116,7 +116,7 @@ class VoltageSag(Effect):
 
     @staticmethod
     def prepare(p):
-        """Share of the old current that a step keeps."""
+        """Share of the old current that remains after a step."""
         p.voltage_sag_keep = exp(-p.timestep / p.voltage_sag_time_constant)
 
     @staticmethod
@@ -146,7 +146,7 @@ class CurrentLag(Effect):
     stage = Stage.DRIVER
     rank = 1
     equation = "dI/dt = (u - I) / Tc"
-    source = "closed current loop; ROBOTIS does not disclose its lag, so the range is our own choice"
+    source = "closed current loop; ROBOTIS does not disclose its lag, so the range is chosen by us"
     parameters = (Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),)
     # our own choice: ROBOTIS does not disclose it (ROBOTIS-GIT/emanual issue 1331), only that loops run much faster
     # than 1 kHz (DynamixelSDK issue 534)
@@ -174,7 +174,7 @@ class CurrentLag(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first command has been held for long; a voltage starts from zero."""
+        """The current starts settled at the first command; a voltage starts from zero."""
         s.current_lag_end = s.current_lag_wanted = s.target_current if p.current_lag_signal == CURRENT else 0.0
 
     @staticmethod
@@ -209,7 +209,7 @@ class CurrentOffset(Effect):
     name = "current_offset"
     stage = Stage.DRIVER
     equation = "I_measured = I + o; regulated: I = I* - o"
-    source = "zero of a shunt's amplifier; range our own choice, 19 counts of the XM430's 2.69 mA (ROBOTIS e-Manual)"
+    source = "zero of a shunt's amplifier; range chosen by us, 19 counts of the XM430's 2.69 mA (ROBOTIS e-Manual)"
     parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
     # our own choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no maker states the zero
     usual = {"current_offset": Usual(0.0, 0.006, 0.01, 0.06, own=True)}

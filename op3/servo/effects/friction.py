@@ -22,7 +22,7 @@ class Coulomb(Effect):
     equation = "tau_fric += fc"
     source = "paper eq. (4); range from Table I"
     parameters = (Parameter("coulomb_friction", "N m", 0.01, 0.25, 0.1, 0.0, "fc", least=0.0),)
-    # no maker of hobby servos says how much they differ; our own choice, no finer than four fits of one XL330 to
+    # no maker of hobby servos states their spread; chosen by us, no finer than four fits of one XL330 to
     # more and fewer of its runs, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)
     spread = {"coulomb_friction": 0.15}
     secants = ({"coulomb_friction": 0.02},)
@@ -40,10 +40,10 @@ class Coulomb(Effect):
 
 @register
 class Stribeck(Effect):
-    """Friction that is higher near rest and fades with speed.
+    """Friction that is higher near rest and decays with speed.
 
     Attributes:
-        fade: how it fades: ``exponential`` as in the paper, ``gaussian``, or ``lorentz``.
+        fade: form of the decay: ``exponential`` as in the paper, ``gaussian``, or ``lorentz``.
     """
 
     name = "stribeck"
@@ -51,7 +51,7 @@ class Stribeck(Effect):
     stage = Stage.FRICTION
     equation = "tau_fric += (fs - fc) exp(-|w| / w_static)"
     source = (
-        "paper eq. (4), the exponential corrected; range of fs - fc from Table I, of w_static our own choice; fades:"
+        "paper eq. (4), the exponential corrected; range of fs - fc from Table I, of w_static by us; decays:"
         " Armstrong-Helouvry, Dupont & Canudas de Wit (1994)"
     )
     parameters = (
@@ -60,7 +60,7 @@ class Stribeck(Effect):
             "stribeck_velocity", "rad/s", 0.02, 3.0, 0.1, None, "w_static, not in the paper", least=1e-4, searched=False
         ),
     )
-    # no maker of hobby servos says how much they differ; our own choice, no finer than four fits of one XL330 to
+    # no maker of hobby servos states their spread; chosen by us, no finer than four fits of one XL330 to
     # more and fewer of its runs, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)
     spread = {"static_friction_excess": 0.15}
     secants = (
@@ -77,7 +77,7 @@ class Stribeck(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Raise the bound near rest, and set the fade for other friction at this speed."""
+        """Raise the bound near rest, and set the decay for other frictions at this speed."""
         s.fade = stribeck_fade(s.speed, p.stribeck_velocity, p.stribeck_fade)
         s.friction_bound += p.static_friction_excess * s.fade
 
@@ -91,7 +91,7 @@ class Viscous(Effect):
     equation = "tau_fric += kv |w|"
     source = "paper eq. (4); range from Table I"
     parameters = (Parameter("viscous_friction", "N m s/rad", 0.0025, 0.15, 0.03, 0.0, "kv", least=0.0),)
-    # no maker of hobby servos says how much they differ; our own choice, no finer than four fits of one XL330 to
+    # no maker of hobby servos states their spread; chosen by us, no finer than four fits of one XL330 to
     # more and fewer of its runs, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)
     spread = {"viscous_friction": 0.15}
     secants = ({"viscous_friction": 0.01},)
@@ -139,9 +139,9 @@ class AsymmetricFriction(Effect):
     stage = Stage.FRICTION
     rank = 2  # what is less than nothing has to be known
     equation = "tau_fric += sign(w) a / 2, not below 0"
-    source = "skewed teeth, worms and preloaded seals; range our own choice, about that of Coulomb friction"
+    source = "skewed teeth, worms and preloaded seals; range chosen by us, about that of Coulomb friction"
     parameters = (
-        Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 less that for w < 0"),
+        Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 minus that for w < 0"),
     )
     secants = ({"asymmetric_friction": 0.03}, {"asymmetric_friction": -0.03})
     fingerprint = "even in velocity and constant, like a current offset but only in motion"
@@ -164,7 +164,7 @@ class QuadraticDrag(Effect):
     name = "quadratic_drag"
     stage = Stage.FRICTION
     equation = "tau_fric += c w^2"
-    source = "churning loss of a gear box; range our own choice: at 3 rad/s as much as Coulomb friction"
+    source = "churning loss of a gear box; range chosen by us: at 3 rad/s as much as Coulomb friction"
     parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
     secants = ({"quadratic_drag": 0.005},)
     fingerprint = "odd in velocity and growing faster than in proportion to it"

@@ -10,7 +10,7 @@ from op3.servo.effects.presliding import deflection
 from op3.servo.law import dte_brake, dte_passive_loss, dte_power_loss, motor_leads, zones
 
 PASSIVE, POWER = 0, 2
-"""Places of the forms in their list."""
+"""Indices of the forms in their list."""
 
 
 @register
@@ -28,7 +28,7 @@ class DirectionalEfficiency(Effect):
     name = "dte"
     written = {"form": ("passive", "power")}
     stage = Stage.GEAR
-    equation = "tau_loss = (1 - eta_fw) |tau_m| where the motor leads, (1 - eta_bw) |tau_a| where the load leads"
+    equation = "tau_loss = (1 - eta_fw) |tau_m| if the motor drives, (1 - eta_bw) |tau_a| if the load drives"
     source = (
         "paper eq. (3), its second condition corrected; ranges from Table I;"
         " form `power`: Pelchen, Schweiger & Otter (2002)"
@@ -75,10 +75,9 @@ class DirectionalEfficiency(Effect):
 class MixedLubrication(Effect):
     """Larger friction of slowly sliding teeth: the loss of `dte` is larger near rest than at speed.
 
-    The coefficient of friction of a mesh falls from boundary to mixed lubrication as it speeds up. That the loss of
-    `dte` fades so is our own: of the sources one tabulates efficiency over speed, the other fades the sum of both
-    torques, with an exponent as well. Static friction, that of what presses the teeth together without load, fades as
-    the effect `stribeck` says.
+    The coefficient of friction of a mesh decreases from boundary to mixed lubrication with speed. The exponential decay
+    of the loss of `dte` is our own: one of the sources tabulates efficiency over speed, the other lets the sum of both
+    torques decay, with a further exponent. Static friction without load decays as in the effect `stribeck`.
     """
 
     name = "mixed_lubrication"
@@ -90,7 +89,7 @@ class MixedLubrication(Effect):
         " whose velocities are searched from 0.1 to 3 rad/s"
     )
     parameters = (
-        Parameter("near_rest_loss", "-", 0.0, 1.0, 0.0, 0.0, "b, more of the loss near rest", least=0.0),
+        Parameter("near_rest_loss", "-", 0.0, 1.0, 0.0, 0.0, "b, additional loss near rest", least=0.0),
         Parameter("lubrication_velocity", "rad/s", 0.03, 3.0, 0.5, None, "w_b", least=0.03, most=3.0, searched=False),
     )
     # a mesh's efficiency depends on speed, as a table (Pelchen, Schweiger & Otter 2002). The fade is that of M4 of
@@ -100,7 +99,7 @@ class MixedLubrication(Effect):
         "near_rest_loss": Usual(0.0, 1.0, 0.4, 3.0),
         "lubrication_velocity": Usual(0.5, 1.0, 0.5, 3.0, least=0.03),
     }
-    fingerprint = "odd in velocity and in proportion to the load where the load drives, at low speed alone"
+    fingerprint = "odd in velocity and in proportion to the load where the load drives, only at low speed"
     confounders = ("dte", "load_friction", "stribeck")
     separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.5 rad/s at two loads"
 

@@ -16,7 +16,7 @@ class FootFriction(Effect):
     name = "foot_friction"
     stage = Stage.GROUND
     equation = "mu *= 1 + e"
-    source = "aluminium and rubber soles on floors; range our own choice"
+    source = "aluminium and rubber soles on floors; range chosen by us"
     parameters = (
         Parameter("foot_friction_error", "-", -0.65, 0.4, 0.0, 0.0, "e, relative", per_joint=False, least=-0.99),
     )
@@ -34,7 +34,7 @@ class FootCompliance(Effect):
     name = "foot_compliance"
     stage = Stage.GROUND
     equation = "T_contact += dT"
-    source = "MuJoCo solref, 20 ms by default; stiffness falls with its square; range our own choice"
+    source = "MuJoCo solref, 20 ms by default; stiffness falls with its square; range chosen by us"
     parameters = (Parameter("contact_time_added", "s", 0.0, 0.02, 0.0, 0.0, "dT", per_joint=False, least=0.0),)
     edits = (ModelEdit("geom_solref", "ground_geom", "add", "contact_time_added", column=0),)
     secants = ({"contact_time_added": 0.004}, {"contact_time_added": 0.012})
@@ -54,7 +54,7 @@ class GroundTilt(Effect):
     name = "ground_tilt"
     stage = Stage.GROUND
     equation = "g = R_floor' g_0, R_measured = R_floor R"
-    source = "rigid motion; floors of up to 3 degrees, our own choice"
+    source = "rigid motion; floors of up to 3 degrees, chosen by us"
     parameters = (
         Parameter("ground_roll", "rad", -0.05, 0.05, 0.0, 0.0, "about the x axis of the scene", per_joint=False),
         Parameter("ground_pitch", "rad", -0.05, 0.05, 0.0, 0.0, "about its y axis", per_joint=False),

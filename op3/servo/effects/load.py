@@ -4,11 +4,11 @@ The ladder is that of Duclusaud et al., "Extended Friction Models for the Physic
 2025, arXiv 2410.08650): M1 is `coulomb` and `viscous`, M2 adds `stribeck` to it, M3 `load_friction` without excess; M4
 has both, and the excess; M5 has `directional_friction` in place of `load_friction`, and M6 adds
 `antagonistic_friction`. There the load is gravity's torque; here it is what the output transmits to its link, as for
-every effect. There friction near rest fades as ``exp(-|w / w_static|^alpha)`` with an alpha that is fitted (0.8 to 3 on
-their servos up to M4); here as the effect `stribeck` says, with an alpha of 1 or 2.
+every effect. There friction near rest decays as ``exp(-|w / w_static|^alpha)`` with an alpha that is fitted (0.8 to 3
+on their servos up to M4); here as in the effect `stribeck`, with an alpha of 1 or 2.
 
 Shares are searched up to 0.5 there (1 for the excess, 0.01 / (N m) for the squares, where fits of M6 often end); the
-wider ranges here are our own choice.
+wider ranges here are chosen by us.
 """
 
 from typing import Literal
@@ -17,7 +17,7 @@ from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.law import antagonistic_friction, load_friction
 
 SUM = 0
-"""Place of that form in its list."""
+"""Index of that form in its list."""
 
 SOURCE = "Duclusaud et al. (2025), Extended Friction Models for the Physics Simulation of Servo Actuators"
 
@@ -28,10 +28,10 @@ class LoadFriction(Effect):
 
     Attributes:
         form: ``sum``: in proportion to what motor and load press together, as published. ``motor``: to the motor's
-            torque alone, as M5 with ``le = 0``, which its fits of MX-64 and XL330 nearly have (that of the XL-320
-            has the load's alone): most is lost in the first stages, which the load reaches through all others; twice
-            that, so that a share means the same in both forms to first order: in slow motion both torques are alike
-            but for what is lost. At a share of a half a motor cannot move this gear.
+            torque alone, as M5 with ``le = 0``, which its fits of MX-64 and XL330 nearly have (that of the XL-320 has
+            only the load's): most is lost in the first stages, which the load reaches through all others. The factor is
+            two, so that a share means the same in both forms to first order: in slow motion both torques are equal
+            except for the loss. With a share of one half a motor cannot move this gear.
     """
 
     name = "load_friction"
@@ -44,7 +44,7 @@ class LoadFriction(Effect):
     source = f"{SOURCE}, models M3 and M4"
     parameters = (
         Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
-        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "more of it near rest, ls", least=0.0),
+        Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "additional friction near rest, ls", least=0.0),
     )
     secants = ({"load_friction": 0.05}, {"load_friction": 0.2})
     fingerprint = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
@@ -82,7 +82,7 @@ class DirectionalFriction(Effect):
     )
     # a share of the motor's torque alone is `load_friction` of the form `motor`
     secants = ({"external_friction": 0.1},)
-    fingerprint = "odd in velocity; one width of the loop where the motor leads, another where the load leads"
+    fingerprint = "odd in velocity; one width of the loop if the motor drives, another if the load drives"
     confounders = ("dte", "load_friction", "antagonistic_friction")
     separating_experiment = "hold test at two loads, raising and lowering; motion with the torque off"
 
@@ -106,8 +106,8 @@ class AntagonisticFriction(Effect):
     )
     source = f"{SOURCE}, model M6"
     parameters = (
-        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, where the load is the stronger", least=0.0),
-        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, where the motor is the stronger", least=0.0),
+        Parameter("motor_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qm, if the load's torque is larger", least=0.0),
+        Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, if the motor's torque is larger", least=0.0),
     )
     secants = ({"external_square": 0.2}, {"motor_square": 0.2})
     fingerprint = "near rest only, growing with the square of the weaker torque where motor and load oppose each other"

@@ -9,13 +9,13 @@ from op3.servo.law import clip
 from op3.servo.machine_code import part
 
 CURRENT, VOLTAGE = range(2)
-"""Places of the drives in their list."""
+"""Indices of the drives in their list."""
 
 SETTLING = 4
-"""Newton's steps to a settled voltage."""
+"""Newton steps until the voltage has converged."""
 
 LEAST_VOLTAGE = 1.0
-"""A bus falls no further [V]."""
+"""Lowest voltage of a bus [V]."""
 
 
 @register
@@ -40,7 +40,7 @@ class Motor(Effect):
         Parameter("terminal_resistance", "ohm", 4.0, 9.0, 6.5, None, "of the motor and its driver", least=1e-3),
         Parameter("armature", "kg m^2", 0.0025, 0.011, 0.00675, None, "rotor inertia seen at the joint", least=0.0),
     )
-    # no maker of hobby servos says how much they differ; data of motors hold within +-10 % (Beckhoff AM8100, "technical
+    # no maker of hobby servos states their spread; data of motors hold within +-10 % (Beckhoff AM8100, "technical
     # data"), taken here as two standard deviations
     spread = {"torque_constant": 0.05, "terminal_resistance": 0.05}
     memory = ("wanted", "bus_voltage")
@@ -56,7 +56,7 @@ class Motor(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The first target current has acted before the start."""
+        """The first target current was already acting before the start."""
         s.motor_wanted, s.motor_bus_voltage = s.target_current, s.bus_voltage
 
     @staticmethod
@@ -96,8 +96,8 @@ class Motor(Effect):
 def settle(s, p):
     """Let the bus voltage of a robot fall with the currents that it lets through: ``V = V0 - R_s sum |I(V)|``.
 
-    Where no servo is driven back by its speed the currents fall with the voltage, and there is one solution; Newton's
-    steps from above reach it as soon as they have found which servos the voltage limits.
+    If no servo regenerates, the currents fall with the voltage, and there is one solution. Newton steps from above
+    reach it once they have identified the servos whose current the voltage limits.
 
     Args:
         s: signals of its joints, ``[joint]``.

@@ -12,9 +12,7 @@ class Cogging(Effect):
     name = "cogging"
     stage = Stage.GEAR
     equation = "tau += A sin(n q + phi)"
-    source = (
-        "gear mesh, n teeth of the last stages; ranges our own choice; the rotor's own cogging is too fast for a log"
-    )
+    source = "gear mesh, n teeth of the last stages; ranges chosen by us; the rotor's own cogging is too fast for a log"
     parameters = (
         Parameter("cogging_amplitude", "N m", -0.05, 0.05, 0.0, 0.0, "A, at the joint"),
         Parameter("cogging_phase", "rad", -pi, pi, 0.0, None, "phi"),
@@ -42,7 +40,7 @@ class CableSpring(Effect):
     name = "cable_spring"
     stage = Stage.PARALLEL
     equation = "tau -= k (q - q0)"
-    source = "cable harness across a joint; range our own choice"
+    source = "cable harness across a joint; range chosen by us"
     parameters = (
         Parameter("cable_stiffness", "N m/rad", 0.0, 0.3, 0.0, 0.0, "k", least=0.0),
         Parameter("cable_rest_angle", "rad", -1.5, 1.5, 0.0, None, "q0", mirrored=True),
@@ -76,7 +74,7 @@ class PositionFriction(Effect):
     name = "position_friction"
     stage = Stage.FRICTION
     equation = "tau_fric += A (1 + cos(n (q - q_w))) / 2"
-    source = "eccentric output shaft: one period per turn; range our own choice"
+    source = "eccentric output shaft: one period per turn; range chosen by us"
     parameters = (
         Parameter("position_friction", "N m", 0.0, 0.2, 0.0, 0.0, "A, friction added at the worst angle", least=0.0),
         Parameter("position_friction_angle", "rad", -pi, pi, 0.0, None, "q_w, the worst angle", mirrored=True),

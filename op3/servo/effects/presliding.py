@@ -9,7 +9,7 @@ from op3.servo.law import clip
 from op3.servo.machine_code import part
 
 FULLY = 1e9
-"""More than bristles can be bent [rad]."""
+"""Deflection larger than any bristle's [rad]."""
 
 
 @part
@@ -22,16 +22,16 @@ def deflection(s):
 class LuGre(Effect):
     """Presliding: all friction of the joint acts through an elastic bristle (LuGre) instead of rigidly.
 
-    The bound F that the other frictions make up becomes the level at which the bristle slips. Its deflection z is
-    integrated exactly over a step for the speed that the last step's acceleration foretells at its end, and linearly in
-    the velocity at its end, which goes to the physics as implicit damping: stable at 1 ms from any softness down to a
-    rigid grip. Slipping for the speed at the beginning instead, a joint that gains speed would be braked by more than
-    F, as if its rotor were heavier. The bristle's own damping acts on the mean rate of its deflection over the step,
-    and so vanishes while the joint slides. In the original viscous friction stands beside the bristle; here F holds it,
-    and sliding steadily both give the same.
+    The bound F of all other frictions becomes the torque at which the bristle slips. Its deflection z is integrated
+    exactly over a step for the speed predicted from the last step's acceleration, and linearly in the velocity at the
+    step's end, which the physics gets as implicit damping. This is stable at 1 ms for any stiffness. With the speed at
+    the beginning instead, an accelerating joint would be braked by more than F, as if its rotor were heavier. The
+    bristle's own damping acts on the mean rate of its deflection over the step, and so vanishes while the joint slides.
+    In the original model viscous friction is parallel to the bristle; here F includes it, and in steady sliding both
+    are equal.
 
     Attributes:
-        damping_ratio: of the rotor alone on its bristle; without damping a held joint rings like a bell.
+        damping_ratio: of the rotor alone on its bristle; without damping a held joint oscillates.
     """
 
     name = "lugre"
@@ -39,7 +39,7 @@ class LuGre(Effect):
     equation = "tau_fric = z / s + sigma_1 dz/dt, dz/dt = w - |w| z / (s F), sigma_1 = 2 zeta sqrt(Ja / s)"
     source = (
         "Canudas de Wit, Olsson, Astrom & Lischinsky (1995), sigma_0 = 1 / s; F from the other effects, viscous"
-        " friction too; range of s and damping our own choice"
+        " friction too; range of s and damping chosen by us"
     )
     parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s", least=0.0),)
     # our own choice, 1 / (330 N m/rad): friction of 0.1 N m grips within 0.3 mrad, a fifth of an encoder's count
@@ -63,7 +63,7 @@ class LuGre(Effect):
 
     @staticmethod
     def reset(s, p):
-        """Bristles of a moving joint start fully bent, those of a joint at rest straight."""
+        """Bristles start fully bent in a moving joint, and straight in a joint at rest."""
         # the level of friction bounds it in the first step
         s.lugre_bent, s.lugre_left, s.lugre_gain = FULLY * np.sign(s.velocity), 1.0, 0.0
         s.lugre_velocity = s.velocity

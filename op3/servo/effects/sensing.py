@@ -7,7 +7,7 @@ from op3.servo.effect import Effect, Parameter, Stage, Usual, register
 from op3.servo.law import lags_per_step
 
 BENT = 0
-"""Place of a velocity that bends with the angle in its list."""
+"""Index of the option ``bent`` in its list."""
 
 
 @register
@@ -17,7 +17,7 @@ class EncoderOffset(Effect):
     name = "encoder_offset"
     stage = Stage.SENSING
     equation = "q_measured = q + b"
-    source = "homing of a servo horn; Rhoban's servo bench fits -0.126 rad on its STS3032"
+    source = "homing of a servo horn; -0.126 rad fits the STS3032 on Rhoban's servo bench"
     parameters = (Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),)
     secants = ({"encoder_offset": 0.01},)
     fingerprint = "a constant angle: gravity has another phase; foot pose and IMU disagree with the joint angles"
@@ -82,7 +82,7 @@ class VelocityFilter(Effect):
     stage = Stage.SENSING
     rank = 1
     equation = "a Tw^2 d2w_measured/dt2 + Tw dw_measured/dt = w - w_measured"
-    source = "velocity estimate of a servo's firmware, which no maker publishes; range our own choice, from bench logs"
+    source = "velocity estimate of a servo's firmware, which no maker publishes; range chosen by us, from bench logs"
     parameters = (
         Parameter("velocity_time_constant", "s", 0.0, 0.02, 0.0, 0.0, "Tw", least=0.0),
         Parameter("velocity_filter_shape", "-", 0.0, 0.5, 0.0, None, "a", least=0.0, most=0.5, searched=False),
@@ -104,7 +104,8 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def prepare(p):
-        """Lag in steps, and what a step leaves of a deviation and its slope times Tw: the exponential of a matrix."""
+        """Lag in steps, and the share of a deviation, and of its slope times Tw, that remains after a step: a matrix
+        exponential."""
         passed, shape = lags_per_step(p.velocity_time_constant, p.timestep), max(p.velocity_filter_shape, 1e-6)
         p.velocity_filter_lag = p.velocity_time_constant / p.timestep
         if 1.0 - 4.0 * shape > 1e-8:
@@ -120,7 +121,7 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The velocity has been constant for long."""
+        """The filter starts settled, as after a long time at constant velocity."""
         s.velocity_filter_filtered = s.velocity_filter_velocity = s.measured_velocity
         s.velocity_filter_slope = 0.0
         s.velocity_filter_knows = 1.0

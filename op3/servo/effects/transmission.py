@@ -3,8 +3,8 @@
 If one of the two effects is on, the rotor's inertia leaves the link's degree of freedom, and motor, gear and
 friction act on the rotor. The law integrates it; the link feels the torque in the contact, which is solved together
 with the link's velocity at the end of the step: the pair is stable at any stiffness, and only the contact damps it. The
-encoder sits on the output, as in the Dynamixel X series. What lies behind the play, the last wheels and the horn, turns
-with the link: a light foot that rattles within the play does so at another rate with it.
+encoder sits on the output, as in the Dynamixel X series. The parts after the backlash, the last wheels and the horn,
+turn with the link; they change the rate at which a light foot rattles within the backlash.
 """
 
 from math import copysign, sqrt
@@ -15,22 +15,22 @@ from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.machine_code import part
 
 STEADY = 0.25
-"""How much of the spring's torque per step acts against a change of velocity, as an inertia of ``STEADY h^2 K`` would:
-from 0.25 on the scheme is stable at any stiffness, and it damps nothing. What it adds is 1 to 5 % of a rotor."""
+"""Share of the spring's torque per step that opposes a change of velocity, like an inertia of ``STEADY h^2 K``: from
+0.25 on, the scheme is stable at any stiffness, without damping. The inertia is 1 to 5 % of a rotor's."""
 
 UNLOADED = 0.03
-"""Load below which a measured motion does not tell on which flank a loose gear lies [N m]."""
+"""Load below which a measured motion does not show on which flank a loose gear rests [N m]."""
 
 MOST_BEHIND = 0.5
 """At most this share of the armature turns with the link."""
 
 LEAST_COMPLIANCE = 1e-6
-"""Stands for a rigid transmission where none acts [rad/(N m)]."""
+"""Compliance of a rigid transmission, if neither effect acts [rad/(N m)]."""
 
 
 @part
 def behind(p):
-    """Inertia behind play and spring [kg m^2], where there are any."""
+    """Inertia after backlash and spring [kg m^2], if there are any."""
     own = 0.0
     if p.backlash_half_gap > 0.0:
         own = p.output_inertia
@@ -41,7 +41,7 @@ def behind(p):
 
 @part
 def between(p):
-    """Whether there is play or a spring between gear and link."""
+    """Whether there is backlash or a spring between gear and link."""
     return p.backlash_half_gap > 0.0 or p.gear_compliance > 0.0
 
 
@@ -63,7 +63,7 @@ class Backlash(Effect):
     """Backlash between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
     Attributes:
-        damping_ratio: of the rotor on the stiffness of the contact, against a link at rest; half of the loss factor.
+        damping_ratio: of the rotor on the contact's stiffness, with the link at rest; half of the loss factor.
     """
 
     name = "backlash"
@@ -72,12 +72,12 @@ class Backlash(Effect):
     equation = "tau = K dz(q_rotor - q, delta), dz(x, delta) = sign(x) max(|x| - delta, 0)"
     source = (
         "X series: 15 arcmin in all, delta = 2.2 mrad when new, MX 20 arcmin (ROBOTIS e-Manual); Feetech STS 0.5"
-        " degrees at most; stiffness and inertia our own choice"
+        " degrees at most; stiffness and inertia chosen by us"
     )
     parameters = (
-        Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the play", least=0.0),
+        Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the backlash", least=0.0),
         Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth", least=1.0, searched=False),
-        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the play", least=0.0, searched=False),
+        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after backlash", least=0.0, searched=False),
     )
     constants = ("stiffness", "friction")
     stiff = True
@@ -90,13 +90,13 @@ class Backlash(Effect):
         " while the torque keeps its sign"
     )
     confounders = ("stribeck", "lugre", "compliance", "latency")
-    separating_experiment = "hold two loads of opposite sign: a step of the angle by the play"
+    separating_experiment = "hold two loads of opposite sign: a step of the angle by the backlash"
 
     damping_ratio: float = 0.04
 
     @staticmethod
     def prepare(p):
-        """Stiffness of play and spring in series, and torque per difference of velocities there."""
+        """Stiffness of backlash and spring in series, and their torque per velocity difference."""
         compliance, ratio = p.gear_compliance, p.compliance_damping_ratio
         if p.backlash_half_gap > 0.0:
             compliance, ratio = 1.0 / p.contact_stiffness + compliance, p.backlash_damping_ratio
@@ -159,7 +159,7 @@ class Backlash(Effect):
 
     @staticmethod
     def motor_side(s, p):
-        """The rotor's velocity: what turns against the voltage when it limits the current."""
+        """The rotor's velocity, which causes the back-EMF when the voltage limits the current."""
         if between(p):
             s.velocity = rotor_velocity(s)
 
@@ -167,8 +167,8 @@ class Backlash(Effect):
     def balance(s, p, torque, rests):
         """Place the rotor on the flank that carries the torque, deflected by it, and let it move with the link.
 
-        On a contact this stiff the noise of a measured angle would be a large torque. Where there is next to no load
-        the rotor stays where it is.
+        On a contact this stiff, the noise of a measured angle would be a large torque. With almost no load the rotor
+        keeps its angle.
         """
         if not between(p):
             return torque
@@ -182,20 +182,20 @@ class Backlash(Effect):
 
 @register
 class Compliance(Effect):
-    """Elasticity of gear train and bracket between rotor and link; in series with play where `backlash` is on too.
+    """Elasticity of gear train and bracket between rotor and link; in series with backlash if `backlash` is also on.
 
     Attributes:
-        damping_ratio: of the rotor on the gear train's stiffness, against a link at rest; half of the loss factor.
+        damping_ratio: of the rotor on the gear train's stiffness, with the link at rest; half of the loss factor.
     """
 
     name = "compliance"
     stage = Stage.TRANSMISSION
     rank = 1
     equation = "tau = (q_rotor - q) / c"
-    source = "spring and damper between rotor and link; from 50 N m/rad on, loss factor 0.08, our own choice"
+    source = "spring and damper between rotor and link; from 50 N m/rad on, loss factor 0.08, chosen by us"
     parameters = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
-        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, behind the spring", least=0.0, searched=False),
+        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after the spring", least=0.0, searched=False),
     )
     acts_in = "backlash"
     stiff = True

@@ -17,7 +17,7 @@ class ImuMount(Effect):
     free_base = True
     stage = Stage.SENSING
     equation = "R_measured = R R_imu, w_measured = R_imu' w"
-    source = "rigid motion; a board on two screws, up to 3 degrees, our own choice"
+    source = "rigid motion; a board on two screws, up to 3 degrees, chosen by us"
     parameters = (
         Parameter("imu_roll", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's x axis, forwards", per_joint=False),
         Parameter("imu_pitch", "rad", -0.06, 0.06, 0.0, 0.0, "about its y axis, to the left", per_joint=False),
@@ -44,7 +44,7 @@ class GyroBias(Effect):
     stage = Stage.SENSING
     rank = 1
     equation = "w_measured = w + b"
-    source = "MEMS gyroscope before calibration; range our own choice, 2 degrees/s"
+    source = "MEMS gyroscope before calibration; range chosen by us, 2 degrees/s"
     parameters = (
         Parameter("gyro_bias_x", "rad/s", -0.035, 0.035, 0.0, 0.0, "forwards", per_joint=False),
         Parameter("gyro_bias_y", "rad/s", -0.035, 0.035, 0.0, 0.0, "to the left", per_joint=False),

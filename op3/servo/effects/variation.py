@@ -9,7 +9,7 @@ from op3.servo.effect import Effect, Parameter, Stage, register
 from op3.servo.effects.electrical import scaled
 
 FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
-"""What the left-right asymmetry of friction scales."""
+"""Parameters that the left-right asymmetry of friction scales."""
 
 
 @register
@@ -58,7 +58,7 @@ class LeftRightAsymmetry(Effect):
     both_sides = True
     stage = Stage.FRICTION
     equation = "fc, kv, fs - fc *= 1 +- a; Kt *= 1 +- b; + left, - right"
-    source = "unit-to-unit spread and wear; ranges our own choice"
+    source = "unit-to-unit spread and wear; ranges chosen by us"
     parameters = (
         Parameter("friction_asymmetry", "-", -0.4, 0.4, 0.0, 0.0, "a", per_joint=False, least=-1.0, most=1.0),
         Parameter("torque_asymmetry", "-", -0.2, 0.2, 0.0, 0.0, "b", per_joint=False, least=-0.9, most=0.9),
