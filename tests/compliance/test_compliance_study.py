@@ -10,6 +10,7 @@ from op3.compliance.robustness import Passed
 from op3.motions import SinusoidalGait
 from op3.sim import load_model
 from op3.tasks import find_task
+from tests.deploy.policies import hold_policy
 
 
 def test_what_cannot_be_studied():
@@ -20,6 +21,15 @@ def test_what_cannot_be_studied():
         contestants(["hold", "hold"], find_task("walk"), [])
     with pytest.raises(ValueError, match="sizes: episodes must be at least 2, got 1"):
         Sizes(episodes=1)
+
+
+def test_a_policy_of_another_robot_is_refused(tmp_path):
+    """By name, before anything is measured, without a setting that the command does not have."""
+    folder = hold_policy("walk", robot="quadruped").save(tmp_path / "policy")
+    with pytest.raises(
+        ValueError, match=r"policy was trained for the robot quadruped; only walks of the op3 are measured$"
+    ):
+        contestants([str(folder)], find_task("walk"), [])
 
 
 def test_fixed_gains_stand_beside_the_policy():

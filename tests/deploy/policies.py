@@ -8,11 +8,11 @@ from op3.policy.bundle import weight_shapes
 from op3.tasks import find_task
 
 
-def hold_policy(task: str = "balance", feedback: float = 0.0, seed: int = 0) -> PolicyBundle:
+def hold_policy(task: str = "balance", feedback: float = 0.0, seed: int = 0, robot: str = "op3") -> PolicyBundle:
     """Holds the stand pose with a P gain of 5 A/rad; with feedback, actions depend a little on every observation."""
-    layout, history = find_task(task).layout, find_task(task).history
-    action_map = find_task(task).action_map()
-    manifest = Manifest(task=task, layout=layout, history=history, action_map=action_map, hidden=(8,))
+    made = find_task(task, robot=robot)
+    action_map = made.action_map()
+    manifest = Manifest(task=task, layout=made.layout, history=made.history, action_map=action_map, hidden=(8,))
     generator = torch.Generator().manual_seed(seed)
     weights = {
         name: feedback * torch.randn(shape, generator=generator) for name, shape in weight_shapes(manifest).items()
