@@ -33,14 +33,12 @@ class Velocity:
         forward: least and greatest [m/s].
         sideways: least and greatest [m/s].
         turning: least and greatest [rad/s].
-        interval: how long a command is held [s], or a least and a greatest time, from which each episode draws its
-            own, uniformly in the logarithm; the first command of an episode is held for a random part of it.
+        interval: how long a command is held [s]; the first one of an episode for a random part of it.
         zero_share: probability of standing.
         turn_share: probability of turning on the spot.
         straight_share: probability of moving without turning.
         single_share: probability of one of the three numbers alone: forward, sideways or turning on the spot.
-        forward_share: probability of walking straight forwards at more than half of the greatest speed; the other
-            shares are of the remaining commands. A curriculum may lower it from 1.
+        scale: factor on all ranges, which a curriculum may raise from 0 to 1.
         corners: 1: forward, sideways and turning are drawn independently, so all three may be at their ends. 0: draws
             outside the ellipsoid of the ranges are scaled back to it. A curriculum may raise it.
     """
@@ -54,31 +52,28 @@ class Velocity:
         forward: Range = (0.3, 0.3),
         sideways: Range = (0.0, 0.0),
         turning: Range = (0.0, 0.0),
-        interval: float | Range = 2.0,
+        interval: float = 2.0,
         zero_share: float = 0.0,
         turn_share: float = 0.0,
         straight_share: float = 0.0,
         single_share: float = 0.0,
-        forward_share: float = 0.0,
+        scale: float = 1.0,
         corners: float = 1.0,
     ):
         for name, bounds in (("forward", forward), ("sideways", sideways), ("turning", turning)):
             if len(bounds) != 2 or bounds[0] > bounds[1]:
                 raise ValueError(f"{name} must be a least and a greatest value, got {list(bounds)}")
-        times = np.atleast_1d(np.asarray(interval, dtype=float))
-        if len(times) not in (1, 2) or not 0 < times[0] <= times[-1]:
-            raise ValueError(f"interval must be above 0 s, or a least and a greatest time, got {interval}")
+        if not interval > 0:
+            raise ValueError(f"interval must be above 0 s, got {interval}")
         shares = (zero_share, turn_share, straight_share, single_share)
         if min(shares) < 0 or sum(shares) > 1:
             names = "zero_share, turn_share, straight_share and single_share"
             raise ValueError(f"{names} must be at least 0 and at most 1 together, got {shares}")
-        if not 0 <= forward_share <= 1:
-            raise ValueError(f"forward_share must be between 0 and 1, got {forward_share}")
-        self._times, self._shares = times, np.cumsum(shares)
-        self.forward_share, self.corners = forward_share, corners
+        self._interval, self._shares = interval, np.cumsum(shares)
+        self.scale, self.corners = scale, corners
         self._low, self._high = np.array([forward, sideways, turning], dtype=float).T
-        self._count = ceil(duration / times[0]) + 1
-        self._interval, self._shift = torch.full((2, num_envs), times[0], dtype=torch.float64)
+        self._count = ceil(duration / interval) + 1
+        self._shift = torch.zeros(num_envs, dtype=torch.float64)
         self._schedule = torch.zeros(num_envs, self._count, 3, dtype=torch.float64)
 
     def begin(self, episodes: Episodes) -> None:
@@ -87,18 +82,12 @@ class Velocity:
             drawn = generator.uniform(self._low, self._high, (self._count, 3))
             end = np.where(drawn < 0, self._low, self._high)
             part = np.divide(drawn, end, out=np.zeros_like(drawn), where=end != 0)
-            drawn /= np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1.0) ** (1.0 - self.corners)
+            drawn *= self.scale / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1.0) ** (1.0 - self.corners)
             kind = np.searchsorted(self._shares, generator.random(self._count), side="right")
-            least, greatest = self._times[[0, -1]]
-            interval = least if least == greatest else least * (greatest / least) ** generator.random()
-            self._interval[row], self._shift[row] = interval, generator.uniform(0.0, interval)
+            self._shift[row] = generator.uniform(0.0, self._interval)
             others = np.arange(3) != generator.integers(3, size=(self._count, 1))
             drawn[kind == 1, :2] = drawn[kind == 2, 2] = drawn[kind == 0] = 0.0
             drawn[(kind == 3)[:, None] & others] = 0.0
-            if self.forward_share > 0.0:
-                ahead = generator.random(self._count) < self.forward_share
-                speed = self._high[0] * generator.uniform(0.5, 1.0, self._count)
-                drawn[ahead] = np.stack([speed, *np.zeros((2, self._count))], 1)[ahead]
             self._schedule[row] = torch.from_numpy(drawn)
 
     def at(self, time: Tensor) -> Tensor:

@@ -254,13 +254,12 @@ def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) ->
 
     Args:
         velocity: desired, forwards in the world [m/s].
-        name: of a command whose direction and speed are desired instead. Following it earns `velocity` at every
-            commanded speed; the speed itself would reward slow commands too little.
+        name: of a command whose direction and speed are desired instead.
     """
     if name is None:
         return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
     along, speed = state.along(name)
-    return velocity * (along / speed.clamp(min=1e-9)).clamp(-1.0, 1.0)
+    return along.clamp(-speed, speed)
 
 
 class TrackVelocity:

@@ -44,40 +44,10 @@ def test_shares_that_are_no_probabilities_are_refused(shares):
         Velocity(1, 10.0, **RANGES, **shares)
 
 
-def test_each_episode_holds_its_commands_for_its_own_time():
-    """Between the least and the greatest time, evenly in the logarithm; a single time is every episode's."""
-    command = Velocity(400, 100.0, **RANGES, interval=[2.0, 10.0])
-    rows = np.arange(400)
-    command.begin(Episodes(rows, rows, np.zeros((400, 1)), np.zeros((400, 1))))
-    ticks = torch.arange(0.0, 100.0, 0.1)
-    drawn = torch.stack([command.at(torch.full((400,), time)) for time in ticks])
-    held = 100.0 / ((drawn[1:] != drawn[:-1]).any(2).sum(0) + 1)
-    assert held.min() > 1.8
-    assert held.max() < 11.0
-    assert held.log().mean() == pytest.approx(np.log(2.0 * 10.0) / 2, abs=0.1)
-    for wrong in ([3.0, 2.0], 0.0, [1.0, 2.0, 3.0]):
-        with pytest.raises(ValueError, match="interval must be above 0 s, or a least and a greatest time"):
-            Velocity(1, 10.0, **RANGES, interval=wrong)
-
-
-def test_a_share_of_the_commands_is_to_walk_straight_ahead():
-    """At more than half of the greatest speed; the other shares are of the rest."""
-    command = Velocity(1, 4000.0, **RANGES, zero_share=0.5, forward_share=0.6)
+def test_a_scale_below_one_draws_slower_commands():
+    """Half the scale halves every range."""
+    command = Velocity(1, 4000.0, **RANGES, scale=0.5)
     command.begin(Episodes(np.array([0]), np.array([3]), np.zeros((1, 1)), np.zeros((1, 1))))
-    drawn = torch.stack([command.at(torch.tensor([2.0 * i])) for i in range(1900)])[:, 0]
-    ahead = (drawn[:, 0] > 0.15) & (drawn[:, 1:] == 0).all(1)
-    assert ahead.double().mean() == pytest.approx(0.6, abs=0.03)
-    assert drawn[ahead, 0].max() <= 0.3
-    assert (drawn == 0).all(1).double().mean() == pytest.approx(0.2, abs=0.03)
-
-
-def test_a_share_of_commands_straight_ahead_is_a_probability():
-    """At 1 all walk forwards faster than half of the greatest speed; beyond it is refused."""
-    command = Velocity(1, 4000.0, **RANGES, forward_share=1.0)
-    command.begin(Episodes(np.array([0]), np.array([3]), np.zeros((1, 1)), np.zeros((1, 1))))
-    forward, others = command._schedule[0, :, 0], command._schedule[0, :, 1:]
-    assert forward.min() >= 0.15
-    assert forward.max() <= 0.3
-    assert not others.any()
-    with pytest.raises(ValueError, match=r"forward_share must be between 0 and 1, got 1\.5"):
-        Velocity(1, 10.0, **RANGES, forward_share=1.5)
+    assert np.abs(command._schedule[0].numpy()).max(0) == pytest.approx([0.15, 0.05, 0.25], rel=0.05)
+    with pytest.raises(ValueError, match="interval must be above 0 s, got 0"):
+        Velocity(1, 10.0, **RANGES, interval=0)
