@@ -42,7 +42,7 @@ def ladder(rows: int) -> Survival:
     return survive_pushes(find_actor("stiff", task), "paper", task, most=3.0, rungs=2, episodes=1, seed=3, rows=rows)
 
 
-@pytest.mark.parametrize("rows", [3, 7])
+@pytest.mark.parametrize("rows", [3, pytest.param(7, marks=pytest.mark.slow)])
 def test_every_push_is_survived_or_not_whatever_is_beside_it(all_at_once, rows):
     """Fewer robots than pushes, which restart at different times: push by push as with a robot for each."""
     assert 0 < all_at_once.survived.sum() < all_at_once.survived.size

@@ -15,7 +15,7 @@ def told():
     """Of two motions of a leg, simulated by the model itself."""
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith(("multisine", "squats"))][:3]
     split = split_logs(planned_suite(load_model("paper"), runs))
-    return aliasing(Diagnosis(load_model("paper"), split, settings=Settings(windows=12)), most=10, planned=True)
+    return aliasing(Diagnosis(load_model("paper"), split, settings=Settings(windows=6)), most=10, planned=True)
 
 
 def test_what_a_plan_does_not_show_is_told_with_what_would(told):

@@ -16,7 +16,7 @@ from op3.sim import load_model
     "times",
     [
         {"command_latency": 0.0055, "current_time_constant": 0.007},
-        {"command_latency": 0.0081, "current_time_constant": 0.0008},
+        pytest.param({"command_latency": 0.0081, "current_time_constant": 0.0008}, marks=pytest.mark.slow),
     ],
 )
 def test_a_base_tells_what_is_late_and_how_velocity_is_estimated(times):
