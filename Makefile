@@ -45,7 +45,7 @@ wheel-test:
 	build/wheel-test/bin/pip install --quiet -c constraints.txt "$$(ls dist/*.whl)[stand-in,video]"
 	cd build/wheel-test && bin/op3 --version && bin/op3 doctor
 	cd build/wheel-test && bin/op3 evaluate policy=assets/policies/balance task=balance_eval episodes=1 video=false
-	cd build/wheel-test && bin/op3 demo diagnose windows=12
+	cd build/wheel-test && bin/op3 demo diagnose windows=12  # too few windows to name an effect; it only has to run
 
 bench: install
 	$(BIN)/python experiments/benchmarks/simulation_speed.py

@@ -47,6 +47,11 @@ def op3() -> Callable[..., tuple[int, str]]:
             "hidden_effect=backlsh: there is no such effect; the nearest is 'backlash'",
         ),
         (["demo", "diagnose", "hidden_robot=legg"], "hidden_robot must be one of 'leg', 'pendulum', 'op3' or 'arm'"),
+        (
+            ["collect", "source=model", "mount=stand", "motion=multisine", "robot=arm", "motion.duration=three"],
+            "motion.duration=three: must be a number",
+        ),
+        (["predict", "model=.", "data=."], "the folder . has no model.yaml: give the folder of an identification or"),
         (["collect", "motion=sqat"], "motion=sqat: there is no 'sqat' in the group motion; the nearest is 'squat'"),
         (["collect", "motion.perid=3"], "motion has no field 'perid'; there are knee_low, knee_high,"),
         (

@@ -63,10 +63,15 @@ def seeded_faults(node: DictConfig) -> Any:
 
 
 def built(node: DictConfig, **options: Any) -> Any:
-    """The object that a config node describes; its ValueError is passed on unchanged."""
+    """The object that a config node describes; its ValueError is passed on unchanged, texts for numbers are named."""
     try:
         return instantiate(node, **options)
     except InstantiationException as error:
+        texts = {k: v for k, v in node.items() if isinstance(v, str) and k not in ("_target_", "name", "robot")}
+        if isinstance(error.__cause__, TypeError) and texts:
+            group = node._get_full_key(None)
+            given = ", ".join(f"{group}.{name}={value}" for name, value in texts.items())
+            raise ValueError(f"{given}: must be a number ({error.__cause__})") from error
         raise ValueError(str(error.__cause__ or error)) from error
 
 

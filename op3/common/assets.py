@@ -3,6 +3,7 @@
 Imports nothing heavy: wrong names on a command line are refused here before anything else is imported.
 """
 
+import difflib
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,9 @@ def robot_file(name: str | Path) -> Path:
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(f"there is no robot {str(name)!r}{nearest(str(name), known)}, or give the path of a .yaml")
     if not path.is_file():
-        raise ValueError(f"there is no robot file {path}{nearest(path.stem, known)}, or correct the path")
+        beside = difflib.get_close_matches(str(path), map(str, path.parent.glob("*.yaml")), n=1)
+        close = f"; the nearest is {beside[0]!r}" if beside else nearest(path.stem, known)
+        raise ValueError(f"there is no robot file {path}{close}, or correct the path")
     return path
 
 
@@ -114,6 +117,10 @@ def find_model(name_or_path: str | Path) -> Path:
         return path / "model.yaml"
     if str(name_or_path) in model_files():
         return model_files()[str(name_or_path)]
+    if path.is_dir():
+        raise FileNotFoundError(
+            f"the folder {path} has no model.yaml: give the folder of an identification or a diagnosis"
+        )
     raise FileNotFoundError(
         f"there is no model file {str(name_or_path)!r}: give the path of a model.yaml or a name"
         + nearest(name_or_path, model_names())

@@ -316,15 +316,15 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
     space, attributes = search_space_to_json(how.search_space), study.user_attrs
     if study.directions != directions or attributes.get("search_space", space) != space:
         raise StudyError(
-            f"The stored study {name!r} has other directions, parameters or ranges than the ones given: "
-            "give the new one another study_name or storage, or restore them."
+            f"The stored study {name!r} has other objectives, parameters or ranges than this run: choose another folder"
+            " (hydra.run.dir), storage or study_name, or repeat the command that began it."
         )
     known = attributes.get("identity", {})
     if identity is not None and known != identity and study.get_trials(deepcopy=False):
         differs = [part for part in {**identity, **known} if known.get(part) != identity.get(part)]
         raise StudyError(
-            f"The stored study {name!r} has other {', '.join(differs)} than this run: choose another folder, storage"
-            " or study_name, or repeat the command that began it."
+            f"The stored study {name!r} has other {', '.join(differs)} than this run: choose another folder"
+            " (hydra.run.dir), storage or study_name, or repeat the command that began it."
         )
     if identity is not None:
         study.set_user_attr("identity", dict(identity))

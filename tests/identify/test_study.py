@@ -248,7 +248,7 @@ def test_another_study_is_not_mixed_into_a_stored_one(change, tmp_path):
     """Other ranges, parameters or directions need another name."""
     path = tmp_path / "study.journal"
     quick_study(storage=path, n_trials=4)
-    with pytest.raises(StudyError, match="another study_name or storage"):
+    with pytest.raises(StudyError, match=r"choose another folder \(hydra.run.dir\), storage or study_name"):
         quick_study(storage=path, **change)
 
 

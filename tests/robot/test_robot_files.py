@@ -242,8 +242,11 @@ def test_a_mass_that_differs_may_be_that_of_geoms(tmp_path):
     np.testing.assert_allclose([model.ipos, model.inertia], [plain.ipos, plain.inertia])
 
 
-def test_an_unknown_robot_is_answered_with_the_nearest():
-    """A slip of the pen, or a path that leads nowhere."""
+def test_an_unknown_robot_is_answered_with_the_nearest(tmp_path):
+    """A slip of the pen, a path that leads nowhere, or another file beside it."""
+    (tmp_path / "my_arm.yaml").touch()
+    with pytest.raises(ValueError, match=r"my_arms\.yaml; the nearest is '.*my_arm\.yaml', or correct the path"):
+        load_robot(str(tmp_path / "my_arms.yaml"))
     with pytest.raises(ValueError, match="there is no robot 'op4'; the nearest is 'op3', or give the path"):
         load_robot("op4")
     with pytest.raises(ValueError, match=r"there is no robot file nowhere/arn\.yaml; the nearest is 'arm'"):
