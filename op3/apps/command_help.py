@@ -4,6 +4,7 @@ import ast
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from op3.apps import COMMANDS
@@ -68,6 +69,7 @@ def completion() -> str:
     )
 
 
+@cache
 def settings_of(config: str) -> list[str]:
     """Overrides that a config takes: ``group=name`` for every name of its groups, ``setting=`` for its fields."""
     import yaml

@@ -3,6 +3,7 @@
 import difflib
 import re
 import sys
+from collections.abc import Sequence
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -27,14 +28,14 @@ def explained(error: Exception, config: str) -> str:
         named = [word.partition("=") for word in sys.argv[1:]]
         return next((no_such(group, name) for group, _, name in named if names_in(group)), text)
     if found := re.search(r"Could not override '([^']+)'", text):
-        asked, known = found[1].lstrip("+"), known_settings(config, chosen=True)
-        if asked in known_settings(config) and (
-            unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))
-        ):
+        asked, known = found[1].lstrip("+"), known_settings(config)
+        if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
             part = asked.rpartition(".")[2]
             if unknown[1] == part:
                 return f"{asked} belongs to another option of its group: the chosen option has no {part!r}"
             asked = f"{asked}.{unknown[1]}"
+        if options := [word for word in sys.argv[1:] if word in settings_of(config)]:
+            known = known_settings(config, options)
         group, _, part = asked.rpartition(".")
         if group and re.search(rf"^{re.escape(group)}: {{}}$", config_file(config).read_text("utf-8"), re.MULTILINE):
             return f"{group} has no entry {part!r} yet: add it with +{asked}=..."
@@ -68,14 +69,11 @@ def as_sentence(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def known_settings(config: str, chosen: bool = False) -> list[str]:
-    """Dotted names of settings and groups of a config, by default or with the options that the command line chose."""
-    groups = [choice.partition("=")[0] for choice in settings_of(config)]
-    given = (word.partition("=") for word in sys.argv[1:])
-    options = [f"{group}={name}" for group, _, name in given if group in groups and name in names_in(group)]
+def known_settings(config: str, options: Sequence[str] = ()) -> list[str]:
+    """Dotted names of the settings and groups of a config with these options of its groups, by default its own."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
-        cfg = compose(config, options if chosen else [], return_hydra_config=True)
+        cfg = compose(config, list(options), return_hydra_config=True)
     names: list[str] = []
 
     def walk(node: DictConfig, prefix: str) -> None:
@@ -87,4 +85,5 @@ def known_settings(config: str, chosen: bool = False) -> list[str]:
 
     walk(cfg, "")
     names = [name for name in names if not name.startswith("hydra") or name.startswith("hydra.sweeper.")]
+    groups = [choice.partition("=")[0] for choice in settings_of(config)]
     return list(dict.fromkeys([*names, *groups]))

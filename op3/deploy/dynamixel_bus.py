@@ -3,9 +3,9 @@
 Reading needs only a `Bus`. Writing needs the one `Writer` that a bus gives out, so that a single object decides what
 reaches the servos.
 
-This module adds what the SDK lacks. Status packets are parsed one by one, so that the ALERT bit and the loss of a
-single servo are detected; a wait ends a few milliseconds after the last byte instead of after 34; a lock left by an
-interrupted call is cleared; a disconnected port is one error, `Unplugged`.
+This module adds functions that the SDK does not have. Status packets are parsed one by one, so that the ALERT bit and
+the loss of a single servo are detected; a wait ends a few milliseconds after the last byte instead of after 34; a lock
+left by an interrupted call is cleared; a disconnected port is one error, `Unplugged`.
 """
 
 from __future__ import annotations

@@ -50,15 +50,15 @@ def transfer_rates(cells: Sequence[Transferred], control: Sequence[Transferred] 
 
 def _by_robot(cells: Sequence[Transferred], number: Callable[[Transferred], float]) -> dict[str, float]:
     """Mean of a number over the cells of each robot."""
-    found: dict[str, list[float]] = {}
+    by_robot: dict[str, list[float]] = {}
     for cell in cells:
-        found.setdefault(cell["world"], []).append(number(cell))
-    return {name: sum(values) / len(values) for name, values in sorted(found.items())}
+        by_robot.setdefault(cell["world"], []).append(number(cell))
+    return {name: sum(values) / len(values) for name, values in sorted(by_robot.items())}
 
 
 def _mean(values: Iterable[float]) -> list[float] | None:
     """Mean, low and high; of one robot only its value, and None of none."""
-    known = list(values)
-    if len(known) < 2:
-        return known or None
-    return [sum(known) / len(known), *mean_interval(known)]
+    numbers = list(values)
+    if len(numbers) < 2:
+        return numbers or None
+    return [sum(numbers) / len(numbers), *mean_interval(numbers)]
