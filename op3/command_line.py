@@ -11,7 +11,8 @@ import re
 import shutil
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import NoReturn
@@ -81,15 +82,7 @@ def _launch(app: str, module: str) -> None:
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(app))
         return
-    import hydra
     from hydra._internal.utils import get_args_parser
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from op3.apps.job import Job, check_first_job
-    from op3.apps.sentences import explained
-    from op3.identify.registration import register
 
     words = ["confirm=false" if word == "--yes" else word for word in sys.argv[1:]]
     words += choices_of_resumed(words)
@@ -106,6 +99,21 @@ def _launch(app: str, module: str) -> None:
     asked = _asked_folder(app, kind, sys.argv[1:])
     if asked is not None and (other := taken(asked)) not in (None, app):
         end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another")
+    with record_kept(asked):
+        _run(app, module, kind, asked)
+
+
+def _run(app: str, module: str, kind: str, asked: Path | None) -> None:
+    """Run with Hydra in the folder asked for, or in one of its own."""
+    import hydra
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from op3.apps.job import Job, check_first_job
+    from op3.apps.sentences import explained
+    from op3.identify.registration import register
+
     missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     folder = None
     try:
@@ -133,6 +141,19 @@ def _launch(app: str, module: str) -> None:
             compare(place)
         if place is not None and (folder or missing):
             leave(place, above=2 if folder else missing - 1)
+
+
+@contextmanager
+def record_kept(folder: Path | None) -> Iterator[None]:
+    """Keep Hydra's record of the run in a folder where a command that names the folder is refused."""
+    record = {} if folder is None else {file: file.read_bytes() for file in (folder / ".hydra").glob("*.yaml")}
+    try:
+        yield
+    except SystemExit as end:
+        if end.code == 1:
+            for file, content in record.items():
+                file.write_bytes(content)
+        raise
 
 
 def choices_of_resumed(words: Sequence[str]) -> list[str]:

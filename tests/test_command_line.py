@@ -205,15 +205,17 @@ def test_an_interruption_before_the_work_begins_is_one_word(monkeypatch, capsys)
 
 
 def test_the_folder_of_another_command_is_not_written_over(op3, tmp_path):
-    """Pages and results of all commands have the same names."""
-    (tmp_path / "run" / ".hydra").mkdir(parents=True)
-    (tmp_path / "run" / ".hydra" / "hydra.yaml").write_text("hydra:\n  job:\n    name: identify\n")
+    """Pages and results of all commands have the same names; a refused command leaves the record of the run there."""
+    record = tmp_path / "run" / ".hydra" / "hydra.yaml"
+    record.parent.mkdir(parents=True)
+    record.write_text("hydra:\n  job:\n    name: identify\n")
     code, said = op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path)
     assert (code, said) == (
         1,
         "hydra.run.dir is the folder of a run of identify, which would be overwritten: choose another",
     )
     assert op3("identify", "data=x", "hydra.run.dir=run", cwd=tmp_path)[1].startswith("data=x: there is no such file")
+    assert record.read_text() == "hydra:\n  job:\n    name: identify\n"
 
 
 @pytest.mark.parametrize(

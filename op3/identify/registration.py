@@ -3,6 +3,7 @@
 Nothing of the library is imported for it until an interpolation is resolved.
 """
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,14 @@ INTERPOLATIONS = ("range", "value", "start", "own", "each_joint")
 
 
 def register() -> None:
-    """Register them with Hydra and OmegaConf; repeated calls are harmless."""
+    """Register them with Hydra and OmegaConf; a repeated call does nothing unless effects have been added."""
+    _register(tuple(search_groups.searched_parameters().items()))
+
+
+@cache
+def _register(effects: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
     ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
-    search_groups.register()
+    search_groups.register(dict(effects))
     for place, entries in config_variants().items():
         group, _, package = place.partition("@")
         for name, node in entries.items():
