@@ -20,6 +20,7 @@ from op3.apps.command_result import CommandResult
 from op3.apps.progress import LINE_SECONDS
 from op3.apps.support import check_same, remember
 from op3.common.writing import write_text
+from op3.deploy.exit_codes import Stop
 
 DONE = "done"
 """File in a stage's folder that marks it as finished, with its duration."""
@@ -144,6 +145,8 @@ class Stages:
             if not any(_is_work(path) for path in place.iterdir()):
                 (place / ASKED).unlink()  # what was wrong may be corrected
             raise ValueError(f"stage {name}: {error}; run the same command to continue from this stage") from error
+        except Stop as stop:
+            raise Stop(stop.code, f"stage {name}: {stop}; run the same command to continue from this stage") from stop
         self.seconds[name] = time.monotonic() - started
         self.processor_seconds[name] = used_seconds() - worked
         write_text(mark, f"{self.seconds[name]:.1f} {self.processor_seconds[name]:.1f}\n")

@@ -116,8 +116,10 @@ class Player:
         self._count += 1
         of_policy = "task" in options.get("extra", {})
         forgiven = POLICY_FAILED if of_policy else (ExitCode.FALL,)
-        if outcome.code not in (ExitCode.OK, *forgiven) or "run" not in outcome.logs:
+        if outcome.code not in (ExitCode.OK, *forgiven):
             raise Stop(outcome.code, outcome.reason)
+        if "run" not in outcome.logs:
+            raise Stop(outcome.code, f"{outcome.reason}, before the recording {name} began")
         log = outcome.logs["run"]
         known: dict[str, Any] = {"recording": recording, "episode_duration": log.duration}
         if of_policy:
