@@ -5,6 +5,7 @@ import pytest
 from op3.apps.collect import collect
 from op3.apps.predict import predict
 from op3.apps.stages import DONE, Stages
+from op3.deploy.exit_codes import Stop
 
 
 def test_runs_share_the_stages_with_the_same_arguments(tmp_path, capsys):
@@ -30,3 +31,12 @@ def test_a_stage_that_is_refused_can_be_corrected(tmp_path):
     with pytest.raises(ValueError, match="stage squat: there is no model file 'pape'"):
         stages.run("squat", collect, source="model", mount="stand", model="pape")
     assert stages.run("squat", collect, source="model", mount="stand", overrides=["motion.duration=0.5"]).is_dir()
+
+
+def test_a_robot_that_falls_before_a_recording_names_the_stage(tmp_path):
+    """Its weak motors and heavy trunk let it fall in its home pose, before the motion."""
+    world = tmp_path / "world.yaml"
+    world.write_text("draw: 201\n", encoding="utf-8")
+    told = "stage hold: the trunk is tilted by .*, before the recording hold-0 began; run the same command"
+    with pytest.raises(Stop, match=told):
+        Stages(tmp_path).run("hold", collect, source="emulated", world=world, motion="hold")
