@@ -16,8 +16,9 @@ from omegaconf import DictConfig
 from threadpoolctl import threadpool_limits
 
 from op3.apps.command_result import CommandResult
+from op3.apps.compose import configured
 from op3.apps.current_run import output_folder
-from op3.apps.diagnose import diagnose
+from op3.apps.diagnose import main as diagnose
 from op3.apps.progress import ProgressLine
 from op3.common.plain_names import words
 from op3.report.tables import in_thousandths, span
@@ -58,7 +59,7 @@ def named(finding: Mapping[str, Any]) -> str:
     )
 
 
-def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) -> str:
+def ending(content: Mapping[str, Any], folder: Path) -> str:
     """The last lines: named effect, hidden effect, gap, files, and the next command."""
     gaps = []
     for channel, gap in content["gap"].items():
@@ -70,7 +71,7 @@ def ending(content: Mapping[str, Any], answer: Mapping[str, Any], folder: Path) 
     added = [words(finding["effect"]) for finding in content["findings"]]
     lines = {
         "named": "\n          ".join(findings),
-        "hidden": hidden(answer),
+        "hidden": content["hidden"],
         "gap": f"free-run error of held-out runs, baseline fit to returned model: {'; '.join(gaps)}",
         "model": f"{folder / 'model.yaml'}" + (f", with {', '.join(added)} added" if added else ""),
         "page": str(folder / "index.html"),
@@ -90,6 +91,7 @@ def main(cfg: DictConfig) -> CommandResult:
     print(f"An effect is hidden in a simulated robot. SHA-256 of the sealed answer: {digest[:16]}", flush=True)
     data = record(case, folder / "data")
     windows = [] if cfg.windows is None else [f"windows={cfg.windows}"]
-    found = diagnose(data, case.base, seed=cfg.seed, wandb=cfg.wandb.mode, folder=folder, overrides=windows)
-    text = ending(found.content, open_answers(folder / "answers")[case.name], folder)
-    return CommandResult(folder, text, files=())
+    given = {"data": data, "model": case.base, "seed": cfg.seed, "wandb": cfg.wandb.mode, "folder": folder}
+    with configured("diagnose", **given, overrides=windows) as asked:
+        found = diagnose(asked, lambda: hidden(open_answers(folder / "answers")[case.name]))
+    return CommandResult(folder, ending(found.content, folder), files=())

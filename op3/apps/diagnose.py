@@ -9,7 +9,7 @@ op3 diagnose "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,8 +127,12 @@ def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: l
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
 
 
-def main(cfg: DictConfig) -> Diagnosed:
-    """Diagnose, and write verdict, model and page."""
+def main(cfg: DictConfig, truth: Callable[[], str] | None = None) -> Diagnosed:
+    """Diagnose, and write verdict, model and page.
+
+    Args:
+        truth: reveals what is hidden in a simulated robot, for the page; called after the verdict.
+    """
     torch.set_num_threads(1)
     threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
     began, folder = time.process_time(), output_folder()
@@ -160,6 +164,8 @@ def main(cfg: DictConfig) -> Diagnosed:
         return Diagnosed(folder, content["sentence"], files=(folder / "aliasing.yaml",), verdict=None, content=content)
     verdict = diagnosis.run(cfg.rounds if cfg.mode == "loop" else 1)
     content = verdict.plain()
+    if truth is not None:
+        content["hidden"] = truth()
     if others:
         content["mount"] = logs[0].metadata.mount
         content["other_mounts"] = on_other_mounts(verdict.base, verdict.model, others, cfg.seed)

@@ -26,6 +26,7 @@ def test_the_demo_names_what_it_has_hidden_and_leaves_what_can_be_viewed(tmp_pat
     assert gap["after"] < gap["before"]
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines[-6:]] == ["named", "hidden", "gap", "model", "page", "next"]
+    assert f"Hidden in this simulated robot: {verdict['hidden']}." in (tmp_path / "index.html").read_text()
     assert "left" in done.stderr  # how long it still takes
     tracks = of_diagnosis(tmp_path)
     assert list(tracks.logs) == ["measured", "before", "after"]
