@@ -16,24 +16,28 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+from op3.apps.sim2real import JUDGED
+from op3.common.plain_names import words
 from op3.diagnose import Diagnosis, diagnosed_mount, split_logs, suited
 from op3.envs import BatchedEnv, record_episodes
 from op3.motions import Motion, chirp, multisine, squat, staircase, triangle
 from op3.policy import PolicyBundle
 from op3.report.frames import draw_frames
+from op3.report.result import read_result
 from op3.report.style import INK, MUTED, PALETTE
 from op3.report.video import states_of_log
 from op3.robot import pose
 from op3.rollout import read_logs
 from op3.scenes import build_scene
-from op3.servo import RobotModel, Servos, law
+from op3.servo import RobotModel, Servos, catalogue, law
 from op3.sim import load_model, model_for
 from op3.stand_in import HiddenWorld, StandIn, draw_case, make_case
 from op3.tasks.behaviour import gait_profile
+from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import find_task
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
-PICTURES: dict[str, Callable[[], Image.Image]] = {}
+PICTURES: dict[str, Callable[..., Image.Image]] = {}
 """What draws each picture, by name."""
 
 
@@ -68,7 +72,7 @@ def strip(frames: np.ndarray, top: int = 40, height: int = 400) -> Image.Image:
     return Image.fromarray(np.concatenate([frame[top : top + height, 90:390] for frame in frames], axis=1))
 
 
-def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
+def picture(draw: Callable[..., Image.Image]) -> Callable[..., Image.Image]:
     """Enter a function under its name."""
     PICTURES[draw.__name__] = draw
     return draw
@@ -291,16 +295,51 @@ def bricks() -> Image.Image:
     return strip(np.stack(frames), top=80)
 
 
+@picture
+def transfers(table: Path) -> Image.Image:
+    """Excitation only: learning curves, identified parameters, and returns of every robot of a table of transfers."""
+    figure, (curves, parameters, returns) = panels(1, 3, 3.2, width_ratios=(1, 1, 1.2))
+    cells = sorted(table.glob("*_excitation_only_*/result.yaml"), key=lambda path: (len(str(path)), path))
+    if not cells:
+        raise SystemExit(f"{table} has no finished cells of a table of transfers; run op3 transfers, or give --table")
+    names = {name.removeprefix("parameters.") for name in read_result(cells[0].parent / "identify" / "result.yaml")}
+    searched = [one for effect in catalogue().values() for one in effect.parameters if one.name in names]
+    for number, cell in enumerate(cells):
+        folder, result = cell.parent, read_result(cell)
+        learned, found = (read_result(folder / stage / "result.yaml") for stage in ("0_train", "identify"))
+        curves.plot(learned["learning.steps"], learned["learning.return"], color=MUTED, lw=0.8)
+        true = HiddenWorld.find(result["world"], 0)
+        for colour, one in enumerate(searched):
+            both = getattr(true, one.name), found[f"parameters.{one.name}"]["value"]
+            place = [(value - one.low) / (one.high - one.low) for value in both]
+            label = words(one.name) if number == 0 else None
+            parameters.plot(*place, ".", color=plt.get_cmap("tab10")(colour), label=label)
+        promised = read_result(folder / "0_expected" / "result.yaml")["evaluation.returns"]
+        obtained = [evaluation_return(log, JUDGED[result["task"]]) for log in read_logs(folder / "0_robot")]
+        for values, side, colour, label in ((promised, -0.15, 1, "expected"), (obtained, 0.15, 0, "on the robot")):
+            label = label if number == 0 else None
+            returns.plot([number + 1 + side] * len(values), values, ".", ms=3, color=PALETTE[colour], label=label)
+    curves.set(xlabel="environment steps", ylabel="mean return of the evaluations")
+    parameters.plot([0, 1], [0, 1], color=MUTED, lw=0.8)
+    parameters.set(xlabel="hidden value, 0 to 1 in Table I", ylabel="identified value")
+    parameters.legend(fontsize=5, loc="upper left", handletextpad=0)
+    returns.set(xlabel="robot", ylabel="return R_eval", ylim=(0, None))
+    above(returns)
+    return drawn(figure)
+
+
 def main() -> None:
     """Draw the pictures that are asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("pictures", nargs="+", choices=sorted(PICTURES), help="which")
     parser.add_argument("--out", type=Path, default=IMAGES, help="folder")
+    parser.add_argument("--table", type=Path, default="outputs/transfer_table", help="table of transfers to draw")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.pictures:
         path = options.out / f"{name}.webp"
-        PICTURES[name]().save(path, quality=82, method=6)
+        given = [options.table] if name == "transfers" else []
+        PICTURES[name](*given).save(path, quality=82, method=6)
         print(f"{path}, {-(-path.stat().st_size // 1000)} kB")
 
 

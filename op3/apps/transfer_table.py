@@ -12,11 +12,11 @@ import sys
 
 from omegaconf import DictConfig
 
-from op3.apps.collect import exit_code
 from op3.apps.command_result import CommandResult
 from op3.apps.current_run import output_folder
 from op3.apps.sim2real import check, loop
 from op3.common.writing import write_text
+from op3.deploy.exit_codes import Stop
 from op3.report.transfer_table_page import FAILED, read_cells, write_table
 
 INTERRUPTED = "The same command continues after the finished stages."
@@ -28,9 +28,8 @@ def main(cfg: DictConfig) -> CommandResult | None:
     folder = output_folder().absolute()
     (folder / FAILED).unlink(missing_ok=True)
     try:
-        with exit_code():
-            loop(cfg, folder)
-    except ValueError as error:
+        loop(cfg, folder)
+    except (ValueError, Stop) as error:
         write_text(folder / FAILED, f"{error}\n")
         print(f"{folder.name}: {error}", file=sys.stderr)
     cells = read_cells(folder.parent)
