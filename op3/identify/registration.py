@@ -1,6 +1,6 @@
-"""Registers with Hydra what the configs need: the sweeper, groups of effects, motions, and interpolations.
+"""Registers the sweeper, effect groups, motions and interpolations with Hydra for use in configs.
 
-Nothing of the library is imported for it until an interpolation is resolved.
+The library is not imported until an interpolation is resolved.
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ INTERPOLATIONS = ("range", "value", "start", "own", "each_joint")
 
 
 def register() -> None:
-    """Register them with Hydra and OmegaConf; repeated calls are harmless."""
+    """Register everything with Hydra and OmegaConf; repeated calls are harmless."""
     ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
     search_groups.register()
     for place, entries in config_variants().items():

@@ -115,9 +115,9 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
         whole("time", lambda t: clock(t, "%d.%m.%Y %H:%M:%S.%f")),
         "time",
         "row 1",
-        "write dates as in 2026-",
+        "write dates such as 2026-",
     ),
-    "midnight": (whole("time", lambda t: clock(t, "%H:%M:%S.%f")), "time", "row 14", "it passed midnight"),
+    "midnight": (whole("time", lambda t: clock(t, "%H:%M:%S.%f")), "time", "row 14", "the log passes midnight"),
     "spelled otherwise": (
         renamed("l_knee.target", "L_Knee target[deg]"),
         "L_Knee target",
@@ -126,7 +126,7 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
     ),
     "time twice": (cell("time", 5, repr(3 / 125)), "time", "row 5", "repeats the time of row 4"),
     "time too near": (cell("time", 5, repr(3 / 125 + 1e-12)), "time", "row 5", "repeats the time of row 4"),
-    "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata says rate: 125"),
+    "another rate": (scaled("time", 2.0), "time", "row 2", "62.5 Hz, but the metadata state rate: 125"),
     "degrees per second": (scaled(".*velocity", 57.3), "l_knee.velocity", "row 1", "in deg/s"),
     "mg": (scaled("imu.acc_.", 1e3 / 9.81), "imu.acc_x", "row 1", "looks like mg"),
     "milliampere": (scaled(".*current", 1e3), "_knee.current", "row 1", "looks like mA"),
@@ -134,7 +134,7 @@ OFFENCES: dict[str, tuple[Callable[[Lines], object], str, str, str]] = {
     "register gain": (scaled(".*p_gain", 133), "l_knee.p_gain", "row 1", "firmware units"),
     "ragged row": (lambda lines: lines[6].pop(), "", "row 6", "not have the .* cells of the header"),
     "too many cells": (lambda lines: lines[6].append("0"), "", "row 6", "not have the .* cells"),
-    "cut short": (lambda lines: lines[-1].__delitem__(slice(3, None)), "", "row 30", "not have the .* cells"),
+    "truncated": (lambda lines: lines[-1].__delitem__(slice(3, None)), "", "row 30", "not have the .* cells"),
     "no rows": (lambda lines: lines.__delitem__(slice(1, None)), "", "row 1", "no row"),
 }
 
@@ -161,7 +161,7 @@ SIDECARS = {
     "a list": ("- 1", "a list and not a mapping"),
     "no mount": ("joints: [l_knee, r_knee]\nrobot: real\nrate: 125", "field mount: the field is missing; add"),
     "rate is text": ("joints: [a]\nrobot: real\nmount: floor\nrate: fast", "field rate: 'fast' is not a number [Hz]"),
-    "misspelt": ("joints: [a]\nrobots: real", "field 'robots': no such field; rename it robot"),
+    "misspelt": ("joints: [a]\nrobots: real", "field 'robots': no such field; rename it to robot"),
     "unknown": ("joints: [a]\nweather: fine", "field 'weather': no such field; move it under `extra:`"),
     "wrong mount": ("joints: [a]\nrobot: real\nmount: wall\nrate: 125", "'wall' is not one of floor, stand"),
     "pendulum without mass": ("joints: [a]\nrobot: rig\nmount: pendulum\nrate: 125\nlength: 0.1", "add `mass:"),
