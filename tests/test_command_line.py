@@ -56,13 +56,13 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["collect", "motion.perid=3"], "motion has no field 'perid'; there are knee_low, knee_high,"),
         (
             ["collect", "motion=triangle", "motion.frequency=3"],
-            "motion.frequency belongs to another option of its group",
+            "motion.frequency belongs to another option of its config group",
         ),
         (["collect", "repeats=0"], "repeats must be at least 1, got 0"),
         (["collect", "world_seed=abc"], "world_seed must be a whole number, got 'abc'"),
         (["collect", "plan=plan.yaml"], "there is no file plan.yaml: correct the path"),
         (["collect", "hydra.run.dir=/proc/op3"], "/proc/op3: no such file or directory; choose another folder"),
-        (["train", '"seed=3'], "\"seed='3': cannot be read; write setting=value"),
+        (["train", '"seed=3'], "\"seed='3': invalid override; write setting=value"),
         (["doctor", "all"], "doctor takes no settings, got all"),
         (["collect", "twice"], "twice is not a setting: write setting=value"),
         (["demo", "diagnos"], "diagnos is not a setting: write setting=value; the nearest is 'demo diagnose'"),
@@ -74,7 +74,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["identify", "hydra.sweeper.n_trials=x"], "hydra.sweeper.n_trials=x: Value 'x' of type 'str' could not be"),
         (
             ["identify", "data=x", "seed=1,2"],
-            "seed has several values: add -m to run one after another, or write seed=[",
+            "seed has several values: add -m to run them one after another, or write seed=[",
         ),
         (["identify", "data=x", "hydra.run.dir=run"], "data=x: there is no such file"),
         (["deploy", "--yess"], "unrecognized arguments: --yess; settings are written setting=value, and --help lists"),
@@ -93,7 +93,7 @@ def op3() -> Callable[..., tuple[int, str]]:
             "there is no model file 'pape': give the path of a model.yaml or a name;",
         ),
         (["collect", "p_gain=1000"], "p_gain must be at most 6, got 1000"),
-        (["collect", "d_gain=0.69"], "d_gain must be below 0.68 A s/rad, because the xm430-w350 shakes above it"),
+        (["collect", "d_gain=0.69"], "d_gain must be below 0.68 A s/rad, above which the xm430-w350 oscillates"),
         (
             ["collect", "motion=soften", "motion.p_gain=7"],
             "motion 'soften': p_gain must be above 0 and at most 6 A/rad",

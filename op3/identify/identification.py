@@ -130,7 +130,7 @@ def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
     known = model.parameters()
     if base not in known:
         raise ValueError(
-            f"groups contain {name!r}, but no effect of the model has it; effects on: {', '.join(model.effect_names)}."
+            f"groups contain {name!r}, but no effect of the model has it; active: {', '.join(model.effect_names)}."
             " Switch its effect on in the model, or omit the group"
         )
     estimate, joint = model.estimate(base), condition and condition.joint

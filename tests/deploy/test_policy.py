@@ -78,7 +78,7 @@ def test_replay_tells_another_policy(tmp_path):
     assert not result.ok
     assert result.first == 0
     assert "different actions from step 0 on" in str(result)
-    with pytest.raises(ValueError, match="observations have 124 numbers and those of this policy 256"):
+    with pytest.raises(ValueError, match="observations have 124 numbers, but this policy's have 256"):
         replay_policy(log, PolicyRunner(hold_policy("walk"), robot="op3"))
 
 

@@ -51,7 +51,7 @@ FAILURES = {
     "latency timer of 4 ms": (dict(timing=LineTiming(latency_timer=0.004)), "answers come after 4 ms: .*latency timer"),
     "protocol": (
         put("l_knee", "protocol_version", 1),
-        r"ping: protocol 1.0 answer from l_knee \(id 14\); set the register protocol_version there to 2",
+        r"ping: protocol 1.0 answer from l_knee \(id 14\); set their register protocol_version to 2",
     ),
     "return level": (
         put("l_el", "status_return_level", 1, at=0.4),
