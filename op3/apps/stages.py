@@ -170,7 +170,7 @@ class Stages:
         """Record motions of a robot on a stand, as one stage.
 
         Args:
-            name: of the stage; its plan lies beside it.
+            name: name of the stage; its plan lies beside it.
             motions: names of motions; a name may occur several times.
             robot: arguments of `collect` that select the robot.
         """

@@ -289,7 +289,7 @@ def read_yaml(path: str | Path, raises: Callable[..., Exception] = _yaml_error) 
     """The mapping in a YAML file.
 
     Args:
-        path: of the file.
+        path: path of the file.
         raises: makes the error of a problem, its remedy, and where it is (`source`, `column`).
 
     Raises:

@@ -17,8 +17,8 @@ class WandbSettings:
         mode: ``offline`` writes to the run's folder, ``online`` uploads, ``disabled`` does neither.
         project: that the run belongs to.
         entity: team or user; None: that of the login.
-        tags: of the run.
-        name: of the run; None: the task or command and the seed.
+        tags: tags of the run.
+        name: name of the run; None: the task or command and the seed.
     """
 
     mode: Mode = "offline"

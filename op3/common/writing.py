@@ -41,7 +41,7 @@ def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = Fal
     """Make a folder by `fill(temporary folder)` and put it in place by renaming.
 
     Args:
-        path: of the folder to be.
+        path: path of the folder to be.
         fill: writes the contents into the empty folder it is given.
         overwrite: whether a folder already there is replaced.
     """

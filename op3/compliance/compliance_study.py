@@ -47,12 +47,12 @@ class Sizes:
     """Number of episodes and states that are measured.
 
     Attributes:
-        episodes: of walking on each ground.
+        episodes: number of episodes of walking on each ground.
         push_rungs: impulses of the ladder.
         push_episodes: on each rung, in each of eight directions.
         push_most: impulse up to which the ladder reaches [N s].
         lead_episodes: for each way of pulling.
-        states: of the gait at which joints are turned.
+        states: number of states of the gait at which joints are turned.
     """
 
     episodes: Annotated[Count, Field(ge=2)] = 50
@@ -70,9 +70,9 @@ class Measured:
     Attributes:
         passed: by ground.
         landings: on the flat floor.
-        survival: of pushes.
+        survival: survival of pushes.
         led: by way of pulling; empty where it was not asked for.
-        energy: of walking.
+        energy: energy of walking.
         back_drive: at states of its gait.
         gains: over its gait; None for servos in position mode.
     """
@@ -116,7 +116,7 @@ class Study:
 
     Args:
         grounds: names of tasks in which walking is counted; the first one is looked at in all detail.
-        seed: of the episodes, the same for all policies.
+        seed: seed of the episodes, the same for all policies.
         gain_scale: factor on every gain that is commanded.
     """
 

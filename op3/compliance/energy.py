@@ -40,7 +40,7 @@ class Energy:
         power: that all motors draw, with its interval, [3] in W; what they feed back charges nothing.
         cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
         current: root mean square of each motor's current, [joint] in A.
-        temperature: of each after an hour like this [C], [joint].
+        temperature: temperature of each after an hour like this [C], [joint].
         drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where they
             may be extrapolated to an hour.
         continuous: continuous current rating of the weakest servo [A].
@@ -64,7 +64,7 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, robot: Robot, mas
     """The costs of episodes, from their logs with `joint/current` and `joint/velocity`.
 
     Args:
-        mass: of the robot [kg].
+        mass: mass of the robot [kg].
         travels: whether it walks, so that a cost of transport has a meaning.
     """
     resistance = model.tensors(robot.joints)["terminal_resistance"].numpy().reshape(-1)

@@ -42,7 +42,7 @@ class Gains:
         profile: gain over the phase, ``[joint, bin]`` in A/rad.
         profile_interval: ``[joint, bin, 2]``.
         loaded: share of time in which the joint's foot carries, ``[joint, bin]``.
-        mean: of all joints and times, with its interval, [3] in A/rad.
+        mean: mean of all joints and times, with its interval, [3] in A/rad.
         by_situation: by name of `SITUATIONS`, mean and interval ``[joint, 3]`` in A/rad.
         softening: mean over the joints of support minus swing by contact, with its interval, [3] in A/rad.
         landing: the same of the 100 ms after touchdown minus swing, [3] in A/rad.
@@ -66,7 +66,7 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
 
     Args:
         logs: one per robot, with `command/p_gain`.
-        model: of the robots, for the torque that a current gives.
+        model: model of the robots, for the torque that a current gives.
     """
     known = load_robot(task.robot)
     columns, foot = known.indices(known.controlled), np.array([foot_of(joint, known) for joint in known.controlled])

@@ -33,7 +33,7 @@ class Landings:
         force: peak of the ground's force on the foot [N].
         acceleration: peak of the trunk's, without gravity [m/s^2].
         speed: forward, over the second around the touchdown [m/s].
-        height: of the swing before it: how far above the ground the sole's lowest point was [m].
+        height: height of the swing before it: how far above the ground the sole's lowest point was [m].
     """
 
     episode: NDArray[np.int64]

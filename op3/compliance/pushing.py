@@ -27,7 +27,7 @@ class Survival:
     """Which pushes were survived.
 
     Attributes:
-        impulse: of each rung of the ladder [N s], [rung].
+        impulse: impulse of each rung of the ladder [N s], [rung].
         survived: ``[direction, rung, episode]``.
     """
 
@@ -77,7 +77,7 @@ def survive_pushes(
 
     Args:
         most: impulse up to which the ladder reaches [N s].
-        rungs: of the ladder, each with so many episodes in each direction.
+        rungs: number of rungs of the ladder, each with so many episodes in each direction.
         episodes: see `rungs`.
         rows: robots side by side, at most; who is done with one push gets the next.
         **options: further arguments of `op3.envs.make_env`.

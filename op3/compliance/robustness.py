@@ -149,11 +149,11 @@ def make_card(
     """Measure the content of a card.
 
     Args:
-        model_name: of the model, for the card.
+        model_name: name of the model, for the card.
         variations: by name; the robot as it is comes first by itself.
         made: command, commit and date, for the card.
         robots: in each variation, and pushed in each direction.
-        seed: of the episodes, the same for all variations.
+        seed: seed of the episodes, the same for all variations.
         **options: further arguments of `op3.envs.make_env`.
     """
     bundle = actor.policy

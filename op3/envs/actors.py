@@ -94,9 +94,9 @@ def find_actor(
 
     Args:
         name: folder of a bundle, or hold, zero, random or stiff.
-        hold_gain: of a policy that holds [A/rad].
+        hold_gain: hold gain of a policy that holds [A/rad].
         gain_scale: factor on the gain of the stiff walk's own position loop; other gains are scaled by the environment.
-        field: of the config that named it, for messages.
+        field: field of the config that named it, for messages.
 
     Raises:
         ValueError: if there is no such bundle, or it cannot attempt the task.

@@ -75,7 +75,7 @@ def gait_validity(traces: Traces, lengths: NDArray[np.int64], timestep: float = 
 
     Args:
         lengths: steps for which each robot's episode lasted, [sim].
-        timestep: of the physics [s].
+        timestep: timestep of the physics [s].
     """
     first = round(SKIPPED / timestep)
     touching, clearances, widths, turned, tilts = [], [], [], [], []

@@ -30,10 +30,11 @@ class Traces:
 
     Attributes:
         force: on each foot from outside, ``[time, sim, foot]`` in N.
-        acceleration: of the trunk at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an IMU.
+        acceleration: acceleration of the trunk at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an
+            IMU.
         sole: height of the lowest corner of each foot's sole, ``[time, sim, foot]`` in m.
         slip: horizontal speed of that corner, ``[time, sim, foot]`` in m/s.
-        centre: of each sole, forwards and to the left in the world, ``[time, sim, foot, 2]`` in m.
+        centre: centre of each sole, forwards and to the left in the world, ``[time, sim, foot, 2]`` in m.
         ahead: forward position of the trunk in the world, ``[time, sim]`` in m.
         tilt: angle of the trunk from upright, ``[time, sim]`` in rad.
         yaw: heading of the trunk, ``[time, sim]`` in rad, within pi of 0.

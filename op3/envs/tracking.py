@@ -88,7 +88,7 @@ def held(task: Task, velocity: tuple[float, float, float], duration: float, stop
     """The task with one commanded velocity, which becomes zero at a given time.
 
     Args:
-        duration: of the episode [s].
+        duration: duration of the episode [s].
         stop: when the command becomes zero [s]; None: never.
     """
     times, values = [0.0], [list(velocity)]

@@ -124,7 +124,7 @@ def triangle(
 
     Args:
         joints: amplitude of each joint [rad].
-        speed: of the joint with the largest amplitude [rad/s].
+        speed: speed of the joint with the largest amplitude [rad/s].
         acceleration: at the turns, of the same joint [rad/s^2].
         cycles: full ones, each from the pose to one side, to the other, and back.
     """

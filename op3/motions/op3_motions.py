@@ -109,7 +109,7 @@ def sway(
     """From foot to foot: hip and ankle rolls move equally, so the soles stay level while the load shifts.
 
     Args:
-        amplitude: of the four roll joints [rad].
+        amplitude: amplitude of the four roll joints [rad].
         frequency: full cycles per second.
         duration: length [s].
         around: pose in the middle.
@@ -137,7 +137,7 @@ def soften(
         knee: knee angle commanded throughout [rad].
         p_gain: lowest gain [A/rad]; the highest is that of a squat.
         cycles: how often it falls and rises.
-        period: of one [s].
+        period: period of one [s].
         lean: pitch of the trunk [rad], positive forward.
     """
     if not 0 < p_gain <= P_GAIN:
@@ -157,7 +157,7 @@ class SinusoidalGait:
     walking module (default parameters of `op3_walking_module`); the code is ours. Gyro feedback is left out.
 
     Attributes:
-        period: of a cycle of two steps.
+        period: period of a cycle of two steps.
         double_support: share of the cycle in which both feet stand.
         step: half the distance that a foot moves against the body in a step; the body advances by four times this in
             a cycle.

@@ -74,7 +74,7 @@ def leg_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
     """The rich suite: 26 runs of `duration` [s], in the order in which they are recorded.
 
     Args:
-        seed: of amplitudes, frequencies and phases. Equal seeds give equal commands.
+        seed: seed of amplitudes, frequencies and phases. Equal seeds give equal commands.
         duration: length of one run [s].
     """
     rng = np.random.default_rng([seed, 20])
@@ -119,7 +119,7 @@ def leg_walking(seed: int, duration: float = RUN_DURATION, runs: int = 26) -> li
     """The poor suite: the leg walks in the air, upright, at one gain, cold. Every sixth run repeats the first.
 
     Args:
-        seed: of cadence and stride.
+        seed: seed of cadence and stride.
         duration: length of one run [s].
         runs: how many.
     """

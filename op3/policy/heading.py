@@ -36,7 +36,7 @@ class HeadingReference:
         Args:
             yaw: measured, ``[robot]`` in rad.
             rate: commanded in the step, ``[robot]`` in rad/s.
-            period: of the step [s].
+            period: period of the step [s].
 
         Returns:
             The reference, ``[robot]`` in rad.

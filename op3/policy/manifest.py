@@ -28,12 +28,12 @@ class Training:
         model: name or file of the robot model it was trained on.
         model_hash: hash of that model.
         git_hash: commit of the code.
-        seed: of the run.
+        seed: seed of the run.
         steps: environment steps.
         updates: gradient steps.
         command: that made it.
         date: ISO 8601.
-        settings: of the algorithm, plain values.
+        settings: settings of the algorithm, plain values.
     """
 
     model: str = ""
@@ -60,9 +60,9 @@ class Manifest:
         cycle: duration of a gait cycle [s]; None for a policy that does not observe the phase.
         action_map: map from actions to commands.
         hidden: units of the hidden layers.
-        activation: of the hidden layers.
-        command_rate: of the PD control [Hz].
-        policy_rate: of the policy [Hz].
+        activation: activation of the hidden layers.
+        command_rate: command rate of the PD control [Hz].
+        policy_rate: policy rate of the policy [Hz].
         normalisation: `fixed` or `running`, how mean and scale of the observation were found.
         clip: bound of a normalised observation.
         training: origin.
@@ -102,8 +102,8 @@ class Manifest:
         Args:
             layout: name and size of each part of one observation, in order.
             history: number of earlier observations besides the latest.
-            command_rate: of the PD control [Hz].
-            policy_rate: of the policy [Hz].
+            command_rate: command rate of the PD control [Hz].
+            policy_rate: policy rate of the policy [Hz].
 
         Raises:
             ValueError: naming the field that differs, both values and the task that the policy was trained for.

@@ -35,7 +35,7 @@ class Observer:
     step to which numbers are rounded; both in the unit of the term; ``delay``, in policy steps.
 
     Args:
-        terms: of one observation, in order.
+        terms: terms of one observation, in order.
         history: number of earlier observations that follow the latest, newest first (paper: 1 for balance, 3 for
             walking).
         example: sensor readings of one robot, ``[1, ...]``, which determine the widths of the terms.

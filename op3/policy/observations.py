@@ -42,7 +42,7 @@ class Sensed:
         orientation: roll, pitch and yaw of the base, ``[..., 3]`` in rad; yaw is relative to the beginning of the
             episode. None without an IMU.
         angular_velocity: in the base's frame, ``[..., 3]`` in rad/s. None without an IMU.
-        phase: of the gait, ``[...]`` in cycles; None for a task without a gait.
+        phase: phase of the gait, ``[...]`` in cycles; None for a task without a gait.
         commands: by name, ``[..., number]``.
     """
 

@@ -33,7 +33,7 @@ class Term:
         inputs: number of arguments that are not parameters: the state; for events, the world and the time.
 
     Attributes:
-        name: of the term in its task.
+        name: name of the term in its task.
         options: fields of the configuration that are not parameters of the function, such as ``weight``.
 
     Raises:

@@ -54,7 +54,7 @@ class Setup:
             mount: ``floor``, ``stand``, ``pendulum`` or a brick surface.
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
             tilt: roll and pitch of the stand [rad].
-            joints: of the logs; on the stand the robot has no more limbs than these. None: all.
+            joints: joints of the logs; on the stand the robot has no more limbs than these. None: all.
             control_period: time between commands to a robot [s]; a simulation step is a whole part of it, of at most
                 1 ms.
             robot: that made the logs, or its file.

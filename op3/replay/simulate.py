@@ -83,7 +83,7 @@ class ModelRobot:
         robot: a name in `assets/robots`, or the path of a robot file.
         model: a name or file; None: the robot's own.
         mount: ``floor`` or ``stand``.
-        seed: of the noise; every recording draws from its own stream.
+        seed: seed of the noise; every recording draws from its own stream.
     """
 
     def __init__(self, robot: str, model: str | None = None, mount: str = "stand", seed: int = 0):

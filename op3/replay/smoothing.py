@@ -118,7 +118,7 @@ def kernels(
         period: between readings [s].
         half: readings on each side.
         lag: delay of velocity readings [s].
-        noise: of velocity readings [rad/s].
+        noise: noise of velocity readings [rad/s].
     """
     t = np.arange(-half, half + 1) * period
     value = np.stack([np.ones_like(t), t, t**2 / 2, t**3 / 6], 1) / POSITION_NOISE
@@ -181,7 +181,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     Args:
         log: with joint positions and commands.
         sensing: delay and noise of its velocity readings; None: the usual ones.
-        period: of the grid [s]; by default that of its rows.
+        period: period of the grid [s]; by default that of its rows.
 
     Raises:
         LogError: if it lacks positions or commands, or is too short.
@@ -243,7 +243,7 @@ def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: Ve
         state: position, velocity and acceleration, ``[order, tick, joint]``.
         lagged: readings around each tick, ``[position | velocity, lag, tick, joint]``.
         period: between ticks [s].
-        sensing: of the velocities.
+        sensing: sensing of the velocities.
     """
     half = len(lagged[0]) // 2
     t = np.arange(-half, half + 1)[:, None, None] * period

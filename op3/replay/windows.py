@@ -53,7 +53,7 @@ class WindowResiduals:
     Args:
         logs: all of one mount that holds the base, with the same joints.
         windows: number of windows.
-        length: of a window [s]; by default that of the mount.
+        length: length of a window [s]; by default that of the mount.
         closed: whether the computer's controller acts on the simulated readings; otherwise it sends the commands of the
             log.
 

@@ -19,7 +19,7 @@ def report_design(
     run: RunFolder,
     wall_seconds: float,
 ) -> dict[str, Any]:
-    """Publish a plan that was chosen from candidates; `left_out` has the reason for each motion without a judgement."""
+    """Publish a plan that was chosen from candidates; `left_out` states why motions could not be evaluated."""
     last, seconds = steps[-1], [step.seconds for step in steps]
     values = {
         "plan": [{"motion": step.name, "mount": step.mount, "seconds": step.seconds} for step in steps],

@@ -34,10 +34,10 @@ class LogChannel(Record):
     """Convention of a joint in external logs: position = sign * (reading - zero) in `unit`; the sign applies to all.
 
     Attributes:
-        name: of the joint in the log; None: as here.
+        name: name of the joint in the log; None: as here.
         sign: 1 or -1.
         zero: reading at joint angle zero, in `unit`.
-        unit: of angles and, per second, of velocities: one of `ANGLES`.
+        unit: unit of angles and, per second, of velocities: one of `ANGLES`.
         velocity_factor: further factor of velocities: 0.5 if the log has twice the rate.
     """
 

@@ -19,7 +19,7 @@ class Condition:
     """Condition on a log's metadata, or the choice of a joint.
 
     Attributes:
-        field: of the metadata, or `JOINT`.
+        field: field of the metadata, or `JOINT`.
         value: number or text that it must equal.
     """
 

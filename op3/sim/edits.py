@@ -28,7 +28,7 @@ def edited_fields(
 
     Args:
         model: compiled model, whose values the edits start from.
-        values: of parameters, ``[sim, joint]`` or ``[sim, 1]``.
+        values: values of parameters, ``[sim, joint]`` or ``[sim, 1]``.
         base_body: id of the base body, or -1.
 
     Raises:

@@ -63,7 +63,7 @@ def expressed(model: RobotModel, to: str) -> tuple[RobotModel, tuple[str, ...]]:
     """The part of a model that a format can express, and the effects that it cannot.
 
     Args:
-        model: of any effects.
+        model: model of any effects.
         to: one of `EXPRESSES`.
     """
     lost = tuple(name for name in model.effect_names if name not in EXPRESSES[to])
@@ -74,7 +74,7 @@ def to_bam(model: RobotModel, servo: str, joint: str) -> dict[str, Any]:
     """BAM's parameters of one joint's servo.
 
     Args:
-        model: of a servo that closes its position loop itself.
+        model: model of a servo that closes its position loop itself.
         servo: BAM's name of it.
         joint: joint whose values are taken if joints differ.
 
@@ -139,7 +139,7 @@ def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
 
     Args:
         path: `mean_<iteration>.pt`, or a folder of which the latest counts; `config.pt` lies there too.
-        base: of the robot's servos, whose drive is kept; PACE's is not in its files.
+        base: base of the robot's servos, whose drive is kept; PACE's is not in its files.
         robot: whose joints are named.
 
     Raises:
@@ -178,9 +178,9 @@ def to_mjcf(model: RobotModel, robot: Robot, p_gain: float | None = None, d_gain
     """The robot's MJCF with armature, friction, damping and a position actuator in each joint with a servo.
 
     Args:
-        model: of its servos.
+        model: model of its servos.
         robot: whose joints are driven.
-        p_gain: of a loop outside of the servo [A/rad]; None: the servos close theirs.
+        p_gain: P gain of a loop outside of the servo [A/rad]; None: the servos close theirs.
         d_gain: the same [A s/rad].
 
     Raises:

@@ -90,8 +90,8 @@ class PendulumBase:
     """One servo with a weight on an arm: ``m (l^2 + k^2) a + m g l sin q``.
 
     Attributes:
-        mass: of the weight [kg].
-        length: of the arm [m].
+        mass: mass of the weight [kg].
+        length: length of the arm [m].
         gyration_squared: squared radius of gyration of the weight about itself [m^2].
     """
 

@@ -30,7 +30,7 @@ class PendulumSimulation:
 
     Args:
         model: effects and parameter values; effects of trunk or floor have no meaning here.
-        mass: of the weights [kg], ``[sim]``.
+        mass: mass of the weights [kg], ``[sim]``.
         length: from shaft to weight [m], ``[sim]``.
         timestep: simulation step [s], in which a servo's own position loop runs once; a PD that commands current
             ticks every `op3.common.settings.CONTROL_PERIOD`.

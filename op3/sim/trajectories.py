@@ -140,7 +140,7 @@ def _carried(axes: np.ndarray, inertia: np.ndarray, arm: np.ndarray) -> np.ndarr
     base.
 
     Args:
-        axes: of the joints, as spatial vectors about one point, ``[tick, joint, 6]``.
+        axes: axes of the joints, as spatial vectors about one point, ``[tick, joint, 6]``.
         inertia: composite, as MuJoCo packs it about the same point, ``[tick, joint, 10]``.
         arm: from the base's frame to that point [m], ``[tick, 3]``.
     """

@@ -98,9 +98,9 @@ class WindowSimulation:
         motions: all with the same period and joints.
         windows: where the windows start; `preroll` ticks must lie before, `ticks` behind.
         joints: joint names, by which the model's per-joint values address the columns.
-        timestep: of the simulation [s]; must divide the period.
+        timestep: timestep of the simulation [s]; must divide the period.
         preroll: ticks for which the joints are guided.
-        dtype: of the results; the simulation is in double precision.
+        dtype: dtype of the results; the simulation is in double precision.
 
     Raises:
         ValueError: if a window does not fit into its motion, or periods or supplies differ.

@@ -36,7 +36,7 @@ class Limbs:
 
     Args:
         model: compiled, with a base that is fixed to the world.
-        servos: of the joints.
+        servos: servos of the joints.
         joints: names of the joints in the model [joint].
         mount: natural frequency [Hz] and damping ratio of the elastic stand; frequency 0: stiff.
     """
@@ -134,12 +134,12 @@ class _Freedoms:
 
     Args:
         model: compiled.
-        names: of all degrees of freedom, the mount's first.
+        names: names of all degrees of freedom, the mount's first.
         bases: how many of these are the mount's.
 
     Attributes:
         own: numbers of those that move on their own.
-        names: of these.
+        names: names of these.
         spread: all velocities from these, ``[freedom, own]``.
     """
 
@@ -272,7 +272,7 @@ class Floor:
 
     Args:
         model: compiled; its options are changed.
-        servos: of the joints.
+        servos: servos of the joints.
         joints: names of the joints in the model [joint].
         imu: first places of quaternion, gyro and accelerometer among the sensors; None without an IMU.
     """

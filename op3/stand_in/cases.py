@@ -74,14 +74,14 @@ class Case:
     """The hidden effects of one case, and the inputs of its diagnosis.
 
     Attributes:
-        name: of the case's folder; tells nothing.
-        seed: of everything in the case.
+        name: name of the case's folder; tells nothing.
+        seed: seed of everything in the case.
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`, None where nothing is hidden.
         base: model that the diagnosis starts from; "null" for one made of the robot's servos.
         world: numbers of the robot, with those of `hidden` that are part of a world.
         hidden: what is hidden.
-        joints: of the robot.
+        joints: joints of the robot.
         robot: key of `SETTINGS`.
     """
 
@@ -128,11 +128,11 @@ def draw_case(
     """Decide what one case hides.
 
     Args:
-        seed: of everything in the case.
+        seed: seed of everything in the case.
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`; null cases have none.
         effect: hide this one (singles, outsiders, poor cases, and the first of a pair); drawn if None.
-        ranges: of the robots' numbers.
+        ranges: ranges of the robots' numbers.
         robot: key of `SETTINGS`.
     """
     for name, value, known in (

@@ -38,8 +38,8 @@ class HiddenServos:
         world: the hidden parameters.
         hidden: what is hidden besides.
         joints: names [joint].
-        makes: of the servos [joint]. A world's numbers are those of an XM430-W350, and of another make in proportion of
-            the data sheets.
+        makes: makes of the servos [joint]. A world's numbers are those of an XM430-W350, and of another make in
+            proportion of the data sheets.
         rest: angles about which the robot moves [joint] in rad; what sits at an angle is near them.
         limits: mechanical range of the joints [joint, 2] in rad.
     """

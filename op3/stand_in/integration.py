@@ -247,7 +247,7 @@ def step_limbs(servos, states, robot, index, mount, position, velocity, accelera
         position: [dof] in rad.
         velocity: [dof] in rad/s.
         acceleration: [dof] in rad/s^2, mean of the steps made.
-        inverse: of the joint-space inertia, its upper triangle [dof, dof] in 1/(kg m^2).
+        inverse: inverse of the joint-space inertia, its upper triangle [dof, dof] in 1/(kg m^2).
         bias: torque of gravity, Coriolis and centrifugal forces [dof] in N m.
         count: steps.
     """

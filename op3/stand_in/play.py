@@ -71,7 +71,7 @@ def play(
         recording: identity of the recording.
         settle: how long the first pose is held before the recording starts [s].
         still: whether the recording waits, after `settle`, until the joints are at rest.
-        pushes: of the trunk, in the order of their times since the recording began.
+        pushes: pushes of the trunk, in the order of their times since the recording began.
         metadata: fields of the log that are not as usual, such as a pendulum's mass and length.
         placed: how the robot is put down, see `StandIn.reset`.
 

@@ -46,7 +46,7 @@ class StandIn:
     Args:
         world: the hidden parameters.
         scene: with the robot, without servos attached.
-        seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
+        seed: seed of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
             give equal bytes, and repeats differ.
 
     Attributes:
@@ -154,7 +154,7 @@ class StandIn:
                 encoders say.
             tilt: roll and pitch of the stand in rad.
             day_time: how long the robot has worked before [s].
-            temperature: of air and windings [C]; None: as they are.
+            temperature: temperature of air and windings [C]; None: as they are.
         """
         self._rng = np.random.default_rng([self.seed, self._resets])
         self._resets += 1

@@ -57,7 +57,7 @@ def floor_suite(seed: int) -> list[FloorExcitation]:
     """The whole robot on its feet, 26 runs: squats, weight shifts, soft knees, arms, steps on the spot, pushes.
 
     Args:
-        seed: of depths, speeds, gains and pushes. Equal seeds give equal commands.
+        seed: seed of depths, speeds, gains and pushes. Equal seeds give equal commands.
     """
     rng = np.random.default_rng([seed, 23])
     draw = rng.uniform
@@ -123,7 +123,7 @@ def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Exc
     """A leg's suite for the joints of any robot on its base, about home, as far as their limits let it be enlarged.
 
     Args:
-        seed: of amplitudes, frequencies and phases. Equal seeds give equal commands.
+        seed: seed of amplitudes, frequencies and phases. Equal seeds give equal commands.
         robot: a name in `assets/robots`, or the path of a robot file.
         poor: whether it only walks.
     """

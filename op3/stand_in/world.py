@@ -48,7 +48,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
     """Ranges for the robots of the hidden-effect bench.
 
     Args:
-        path: of a YAML file with ranges that differ from those of the project, by name; None: none does.
+        path: path of a YAML file with ranges that differ from those of the project, by name; None: none does.
 
     Raises:
         ValueError: if one is not a range of a quantity that a world has.
@@ -79,7 +79,7 @@ class HiddenWorld:
 
     Attributes:
         torque_constant: Kt at the motor shaft [N m/A].
-        terminal_resistance: of motor and driver [ohm].
+        terminal_resistance: terminal resistance of motor and driver [ohm].
         armature: rotor inertia at the joint [kg m^2].
         forward_efficiency: share of the motor's torque that reaches the joint when the motor drives.
         backward_efficiency: share of the load that reaches the motor when the load drives.
@@ -90,8 +90,8 @@ class HiddenWorld:
         base_com_offset_x: shift of the trunk's centre of mass forwards [m].
         base_com_offset_z: shift of the trunk's centre of mass upwards [m].
         stribeck_velocity: speed scale of the decay of the excess [rad/s].
-        bristle_stiffness: of the gear teeth and bearings before they slide [N m/rad].
-        bristle_damping: of the same [N m s/rad].
+        bristle_stiffness: bristle stiffness of the gear teeth and bearings before they slide [N m/rad].
+        bristle_damping: bristle damping of the same [N m s/rad].
         joint_spread: half width of the servo-to-servo spread of Kt, friction and resistance, as a ratio.
         spread_seed: which servos were picked from the shelf.
         friction_drift: half width of the slow change of friction, as a ratio.
@@ -105,8 +105,8 @@ class HiddenWorld:
         latency_jitter: its standard deviation [s].
         sampling_jitter: standard deviation of the instants at which the computer reads [s].
         velocity_lag: time constant of the servo's velocity estimate [s].
-        bus_voltage: of the battery without load [V].
-        bus_resistance: of battery and harness [ohm].
+        bus_voltage: bus voltage of the battery without load [V].
+        bus_resistance: bus resistance of battery and harness [ohm].
         foot_friction: Coulomb coefficient of sole on floor.
         contact_time: time constant of the contact [s].
         gyro_noise: standard deviation of a raw gyro sample at 1 kHz [rad/s].
@@ -119,7 +119,7 @@ class HiddenWorld:
         placement: standard deviation of each joint angle when the robot is put down [rad].
         mount_frequency: natural frequency of the stand, with the robot in it [Hz]; 0: stiff.
         mount_damping: its damping ratio.
-        timestep: of the physics [s]; made a whole part of a millisecond.
+        timestep: timestep of the physics [s]; made a whole part of a millisecond.
         loss_form: how the gear loses torque.
         fade_form: form of the decay of static friction with speed.
         viscous_form: whether viscous friction is in proportion to speed.
@@ -236,7 +236,7 @@ class HiddenWorld:
 
         Args:
             name: "random", a name from `world_names`, or the path of a YAML file.
-            seed: of a random world.
+            seed: seed of a random world.
         """
         if name == "random":
             return cls.random(seed)

@@ -18,7 +18,7 @@ class Hold:
 
     Args:
         action_map: the task's action map.
-        p_gain: of every controlled joint [A/rad]; None: the highest, 6 A/rad.
+        p_gain: P gain of every controlled joint [A/rad]; None: the highest, 6 A/rad.
     """
 
     def __init__(self, action_map: ActionMap, p_gain: float | None = None):

@@ -24,7 +24,7 @@ class Episodes:
 
     Attributes:
         rows: numbers of these robots, ``[row]``.
-        seeds: of their episodes, ``[row]``.
+        seeds: seeds of their episodes, ``[row]``.
         qpos: initial positions, ``[row, nq]``; an event may change them.
         qvel: initial velocities, ``[row, nv]``; an event may change them.
     """
@@ -44,7 +44,7 @@ class World:
     """Live arrays of a simulation that events change, ``[env, ...]``.
 
     Attributes:
-        model: of MuJoCo.
+        model: model of MuJoCo.
         qpos: full position.
         qvel: full velocity.
         qfrc_applied: generalised forces, held until they are changed.

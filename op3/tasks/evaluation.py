@@ -27,7 +27,7 @@ def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
     counts as equal to it.
 
     Args:
-        log: of one episode, with the channels of `op3.envs.record_episodes`.
+        log: log of one episode, with the channels of `op3.envs.record_episodes`.
         task: task of the episode; None: the one that the metadata name in ``extra["task"]``.
 
     Returns:
@@ -74,10 +74,10 @@ def evaluation_terms(
 
     Args:
         action: ``[..., action]``.
-        current: of all motors, ``[..., joint]`` in A.
+        current: current of all motors, ``[..., joint]`` in A.
         orientation: roll, pitch and yaw, ``[..., 3]`` in rad.
-        rates: of the body, ``[..., 3]`` in rad/s.
-        specific_force: of the IMU, ``[..., 3]`` in m/s^2.
+        rates: angular rates of the body, ``[..., 3]`` in rad/s.
+        specific_force: specific force of the IMU, ``[..., 3]`` in m/s^2.
         velocity: forwards and sideways, ``[..., 2]`` in m/s; None: `travel_term` adds its part later.
     """
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
@@ -127,7 +127,7 @@ def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np
     """Indices of a policy's steps in an episode, and the row of each; a loop may skip rows.
 
     Args:
-        rate: of the policy [Hz].
+        rate: rate of the policy [Hz].
 
     Raises:
         LogError: if the log's rate is no multiple of it.

@@ -35,10 +35,10 @@ class Placement:
     """Random initial states about the home pose at rest, with standard deviations chosen by us.
 
     Args:
-        joint_position: of each controlled joint [rad].
-        joint_velocity: of each controlled joint [rad/s].
-        velocity: of a free base, forwards and sideways [m/s].
-        angular_velocity: of a free base's roll and pitch [rad/s].
+        joint_position: joint position of each controlled joint [rad].
+        joint_velocity: joint velocity of each controlled joint [rad/s].
+        velocity: velocity of a free base, forwards and sideways [m/s].
+        angular_velocity: angular velocity of a free base's roll and pitch [rad/s].
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Terrain:
     """Draws the heights of the tiles of the scene ``terrain``.
 
     Args:
-        height: of the highest tile above the floor [m], at most 0.01.
+        height: height of the highest tile above the floor [m], at most 0.01.
         steps: probability that every tile has either no height or that height.
     """
 
@@ -148,7 +148,7 @@ class Pushing:
     """Pushes the base in one of eight directions, once at a random time of the gait, or repeatedly.
 
     Args:
-        impulse: of a push [N s].
+        impulse: impulse of a push [N s].
         every: mean time between pushes [s]; None: one push per episode.
         uniform: whether sizes are drawn between 0 and `impulse`.
     """

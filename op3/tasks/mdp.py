@@ -64,7 +64,7 @@ class Mdp:
     Made and called under ``with torch.device("cuda")``, it and its terms have their tensors there.
 
     Args:
-        model: of the servos, from which randomisation draws.
+        model: model of the servos, from which randomisation draws.
 
     Attributes:
         readings: latest sensor readings, quantised: joint_position, joint_velocity, orientation and
@@ -148,7 +148,7 @@ class Mdp:
 
         Args:
             rows: numbers of the robots, ``[row]``.
-            seeds: of their episodes, ``[row]``.
+            seeds: seeds of their episodes, ``[row]``.
 
         Returns:
             Initial states to set before `begun` is called.

@@ -48,8 +48,8 @@ class VelocityError:
     """Velocity minus the commanded velocity [m/s, m/s, rad/s], averaged over a stride.
 
     Args:
-        time_constant: of the average [s].
-        name: of the command.
+        time_constant: time constant of the average [s].
+        name: name of the command.
     """
 
     def __init__(self, num_envs: int, policy_period: float, time_constant: float = 0.5, name: str = "velocity"):

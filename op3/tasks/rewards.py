@@ -69,7 +69,7 @@ def command_term(velocity: Tensor, desired: Tensor, orientation: Tensor, forward
     """R_cmd: how far the body is from the commanded velocity and from upright, in [-3, 0].
 
     Args:
-        velocity: of the body forwards and sideways, ``[..., 2]`` in m/s.
+        velocity: velocity of the body forwards and sideways, ``[..., 2]`` in m/s.
         forward: K_xd, steepness of the penalty on forward speed [s/m].
         sideways: K_yd, steepness of the penalty on sideways speed [s/m].
         orientation: roll and pitch, more columns are ignored, ``[..., 2 | 3]`` in rad; level is desired.
@@ -124,7 +124,7 @@ def swing_of_feet(phase: Tensor, feet: int = 2) -> Tensor:
     """Probability that each foot is in swing, ``[..., foot]``.
 
     Args:
-        phase: of the gait, ``[...]`` in cycles.
+        phase: phase of the gait, ``[...]`` in cycles.
         feet: their number, a key of `FOOT_OFFSETS`.
     """
     return swing_probability(phase.double()[..., None] + torch.tensor(FOOT_OFFSETS[feet], dtype=torch.float64))
@@ -143,7 +143,7 @@ def bipedal_term(swing: Tensor, foot_force: Tensor, foot_speed: Tensor, loaded: 
     Args:
         swing: probability that each foot is in swing, ``[..., foot]``.
         foot_force: size of the force on each foot, ``[..., foot]`` in N.
-        foot_speed: of the feet over the ground, ``[..., foot]`` in m/s.
+        foot_speed: speed of the feet over the ground, ``[..., foot]`` in m/s.
         loaded: force at which a foot counts as loaded [N].
     """
     # twice the mean is the sum over two feet, and weighs a gait of four alike
@@ -178,7 +178,7 @@ def command(
         forward: K_xd, steepness of the penalty on forward speed [s/m].
         sideways: K_yd, steepness of the penalty on sideways speed [s/m].
         velocity: desired, forwards and to the left in the world [m/s].
-        name: of a command of the task that is desired instead, in the heading of the robot.
+        name: name of a command of the task that is desired instead, in the heading of the robot.
     """
     if name is None:
         desired, actual = torch.tensor(velocity, dtype=torch.float64), state.base_velocity
@@ -197,7 +197,7 @@ def bipedal(state: State, robot: Robot, name: str | None = None) -> Tensor:
     """R_bipedal of the paper, for two or four feet.
 
     Args:
-        name: of a command at whose zero all feet should stand; None: the gait never stops.
+        name: name of a command at whose zero all feet should stand; None: the gait never stops.
     """
     return bipedal_term(_swing(state, name), state.step.foot_force, state.step.foot_speed, loaded_force(robot))
 
@@ -254,7 +254,7 @@ def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) ->
 
     Args:
         velocity: desired, forwards in the world [m/s].
-        name: of a command whose direction and speed are desired instead.
+        name: name of a command whose direction and speed are desired instead.
     """
     if name is None:
         return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
@@ -269,8 +269,8 @@ class TrackVelocity:
         forward: steepness of the penalty on forward speed [s/m].
         sideways: steepness of the penalty on sideways speed [s/m].
         turning: steepness of the penalty on the rate of turning [s/rad].
-        time_constant: of the average [s].
-        name: of the command.
+        time_constant: time constant of the average [s].
+        name: name of the command.
     """
 
     def __init__(
@@ -300,7 +300,7 @@ def heading(state: State, steepness: float = 4.0) -> Tensor:
     """Penalty on the difference of the robot's heading from the commanded one, in [-1, 0].
 
     Args:
-        steepness: of the penalty [1/rad].
+        steepness: steepness of the penalty [1/rad].
     """
     return _penalty(steepness * wrapped(state.orientation[:, 2] - state.commands["heading"][:, 0]).abs())
 
@@ -314,7 +314,7 @@ def distance_to_target(state: State, name: str = "target", scale: float = 0.1) -
     """Penalty on the distance of an arm's tip from its commanded position, in [-1, 0].
 
     Args:
-        name: of the command, a position relative to the base [m].
+        name: name of the command, a position relative to the base [m].
         scale: distance at which 63 % of the penalty is reached [m].
     """
     return _penalty(norm(state.tip_position - state.commands[name]) / scale)

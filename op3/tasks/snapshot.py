@@ -24,14 +24,14 @@ class Snapshot:
     Attributes:
         readings: sensor readings before quantisation: joint_position [rad], joint_velocity [rad/s], orientation [rad],
             angular_velocity [rad/s].
-        current: of the motors, ``[sim, joint]`` in A.
-        specific_force: of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
+        current: current of the motors, ``[sim, joint]`` in A.
+        specific_force: specific force of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
         place: position of the base's origin in the world, ``[sim, 3]`` in m.
-        height: of the base's origin above the ground's, ``[sim]`` in m.
-        velocity: of the base in the world, ``[sim, 3]`` in m/s.
-        quaternion: of the base in the world, ``[sim, 4]``, w first.
+        height: height of the base's origin above the ground's, ``[sim]`` in m.
+        velocity: velocity of the base in the world, ``[sim, 3]`` in m/s.
+        quaternion: quaternion of the base in the world, ``[sim, 4]``, w first.
         tip: forward position of the inner tip of the foremost foot in the world, ``[sim]`` in m; None without a gait.
-        tip_position: of an arm's tip relative to the base, in its frame, ``[sim, 3]`` in m; None without one.
+        tip_position: position of an arm's tip relative to the base, in its frame, ``[sim, 3]`` in m; None without one.
     """
 
     readings: dict[str, Tensor]

@@ -22,7 +22,7 @@ class State:
         action: taken in the step, ``[env, action]`` in [-1, 1].
         previous_action: the one before.
         time: since each episode began [s], ``[env]``.
-        phase: of the gait in cycles, ``[env]``; zeros for a task without a gait.
+        phase: phase of the gait in cycles, ``[env]``; zeros for a task without a gait.
         commands: current commands by name, ``[env, number]``.
     """
 

@@ -45,6 +45,6 @@ def at_target(state: State, distance: float, name: str = "target") -> Tensor:
 
     Args:
         distance: largest [m].
-        name: of the command, a position relative to the base [m].
+        name: name of the command, a position relative to the base [m].
     """
     return torch.linalg.vector_norm(state.tip_position - state.commands[name], dim=-1) <= distance

@@ -55,7 +55,7 @@ class Task:
     """A task. `op3.policy.terms.Term` finds its terms; a term set to null is omitted.
 
     Attributes:
-        name: of the task.
+        name: name of the task.
         robot: name or path of the file of the robot.
         scene: name for `op3.scenes.build_scene`.
         duration: time limit of an episode [s].

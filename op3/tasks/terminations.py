@@ -36,7 +36,7 @@ class Lag:
     Args:
         distance: largest [m].
         velocity: desired forward speed [m/s].
-        name: of a command whose direction and speed are desired instead; at a zero command no robot lags.
+        name: name of a command whose direction and speed are desired instead; at a zero command no robot lags.
     """
 
     def __init__(

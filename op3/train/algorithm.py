@@ -32,7 +32,7 @@ class AlgorithmSettings:
 
     Attributes:
         hidden: units of the policy's hidden layers.
-        activation: of the policy's hidden layers.
+        activation: activation of the policy's hidden layers.
         critic_hidden: units of the critics' hidden layers; those of the policy where None.
         rollout: steps of every environment per rollout.
         discount: per policy step.
@@ -66,7 +66,7 @@ class Algorithm(nn.Module, ABC):
         seed: seed of the initial weights.
         initial_action: mean action [action] of the untrained policy; zeros where None.
         mirror: the environment's plane of symmetry, for algorithms that use it.
-        device: of the networks.
+        device: device of the networks.
         **settings: of the algorithm, see its `Settings`.
 
     Raises:
@@ -253,8 +253,8 @@ class Explorer(TensorDictModuleBase):
     """A frozen copy of a policy with separate exploration, whose noise increases from the first to the last robot.
 
     Args:
-        normaliser: of the policy.
-        network: of the policy.
+        normaliser: normaliser of the policy.
+        network: network of the policy.
         count: number of robots.
         scored: whether to store the log probability of actions, as ``action_log_prob``.
     """

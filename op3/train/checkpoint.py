@@ -21,7 +21,7 @@ def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
     """Write tensors and plain values; a kill at any time leaves the old file or the new one.
 
     Args:
-        path: of the file.
+        path: path of the file.
         state: nested dictionaries and lists of tensors, numbers and texts.
     """
     path = Path(path)

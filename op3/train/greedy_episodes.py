@@ -23,7 +23,7 @@ def evaluate(
     Args:
         environment: batched, [env]; it is seeded and reset, so that a seed gives the same episodes each time.
         policy: chooses the actions.
-        seed: of the episodes.
+        seed: seed of the episodes.
         longest: largest number of steps of an episode; longer episodes count as survived.
         watch: called before each step with the actions [env, action] and which environments [env] are still in it.
 

@@ -22,7 +22,7 @@ class PPOSettings(AlgorithmSettings):
     Attributes:
         rate: learning rate.
         gae: lambda of the advantages.
-        clip_ratio: of the probabilities.
+        clip_ratio: clip ratio of the probabilities.
         entropy: weight of the entropy bonus.
         epochs: passes over a rollout.
         batch: transitions per update.

@@ -125,7 +125,7 @@ class Learned:
     """Results of the rounds.
 
     Attributes:
-        numbers: of the re-identification, by round, as its ``result.yaml`` has them.
+        numbers: results of the re-identification, by round, as its ``result.yaml`` has them.
         named: sentence of the diagnosis, by round.
         remarks: what else the reader should know, a sentence each.
         spared: whether the condition would learn, and the first transfer left nothing to learn from.

@@ -23,7 +23,7 @@ class ParetoPoint:
         values: parameter values by name.
         excitation: loss of the excitation, paper eq. (7).
         distance: Wasserstein-1 distance of the returns.
-        returns: of the policy in simulation.
+        returns: returns of the policy in simulation.
         attributes: features for a sampler, see `op3.identify.level_set_sampler`.
     """
 

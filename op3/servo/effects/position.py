@@ -68,7 +68,7 @@ class PositionFriction(Effect):
     """Friction that is higher at some angles than at others: a bent shaft, a worn tooth, a rubbing cable.
 
     Attributes:
-        periods: of the friction per turn of the joint.
+        periods: periods of the friction per turn of the joint.
     """
 
     name = "position_friction"

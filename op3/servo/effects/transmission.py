@@ -63,7 +63,8 @@ class Backlash(Effect):
     """Backlash between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
     Attributes:
-        damping_ratio: of the rotor on the contact's stiffness, with the link at rest; half of the loss factor.
+        damping_ratio: damping ratio of the rotor on the contact's stiffness, with the link at rest; half of the loss
+            factor.
     """
 
     name = "backlash"
@@ -185,7 +186,8 @@ class Compliance(Effect):
     """Elasticity of gear train and bracket between rotor and link; in series with backlash if `backlash` is also on.
 
     Attributes:
-        damping_ratio: of the rotor on the gear train's stiffness, with the link at rest; half of the loss factor.
+        damping_ratio: damping ratio of the rotor on the gear train's stiffness, with the link at rest; half of the loss
+            factor.
     """
 
     name = "compliance"
