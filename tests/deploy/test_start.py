@@ -38,11 +38,11 @@ def overloaded(robot):
 FAILURES = {
     "homing": (
         put("l_knee", "homing_offset", 150),
-        r"homing offset: not as expected: l_knee 150 \(up to \+0.23 rad\), set by .*limits.homing_offset=150",
+        r"homing offset: unexpected values: l_knee 150 \(up to \+0.23 rad\), set by .*limits.homing_offset=150",
     ),
-    "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: not as expected: l_knee 400; .*mode=setup"),
-    "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not as expected: l_knee 30"),
-    "shutdown": (put("l_knee", "shutdown", 0), "shutdown: not as expected: l_knee 0; .*mode=setup"),
+    "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: unexpected values: l_knee 400; .*mode=setup"),
+    "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: unexpected values: l_knee 30"),
+    "shutdown": (put("l_knee", "shutdown", 0), "shutdown: unexpected values: l_knee 0; .*mode=setup"),
     "latency timer": (
         dict(timing=LineTiming(latency_timer=0.016)),
         r"servo power: answers come after 16 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
@@ -57,7 +57,7 @@ FAILURES = {
         put("l_el", "status_return_level", 1, at=0.4),
         "status return level: l_el do not answer every packet",
     ),
-    "drive": (put("l_el", "drive_mode", 1), "drive mode: not as expected: l_el 1; write it once with mode=setup"),
+    "drive": (put("l_el", "drive_mode", 1), "drive mode: unexpected values: l_el 1; write it once with mode=setup"),
     "cool": (
         put("l_el", "temperature_limit", 70),
         "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C",
