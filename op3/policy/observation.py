@@ -44,7 +44,8 @@ class Observer:
         layout: name and width of each term, in order.
 
     Raises:
-        ValueError: naming the term, if it does not exist, does not fit the robot, or an option is impossible.
+        ValueError: if a term does not exist or does not fit the robot, or an option is impossible; the message names
+            it.
     """
 
     def __init__(self, terms: Terms, robot: Robot, history: int, example: Sensed):
@@ -99,7 +100,7 @@ class Observer:
             RuntimeError: if `reset` was not called before.
         """
         if self._stack is None:
-            raise RuntimeError("an observer begins with reset(sensed)")
+            raise RuntimeError("call reset(sensed) before the first step")
         now = self._observe(sensed, None, noise, begins=False)
         self._stack = torch.cat([now[..., None, :], self._stack[..., :-1, :]], -2)
         return self._stack.flatten(-2)

@@ -20,7 +20,7 @@ def episode_seed(seed: int, index: int, episode: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """Episodes that begin now, in some robots of many.
+    """Episodes that begin now in some of the robots.
 
     Attributes:
         rows: numbers of these robots, ``[row]``.
@@ -50,7 +50,8 @@ class World:
         qfrc_applied: generalised forces, held until they are changed.
         base_wrench: force [N] and torque [N m] on the base in the world, ``[env, 6]``, held until they are changed.
         geom_pos: positions of the geoms in their bodies, ``[env, geom, 3]``; None for a scene without movable geoms.
-        set_parameters: gives servo models other parameters by name, ``[env]``; None where the stepper cannot.
+        set_parameters: function that changes parameters of servo models by name, ``[env]``; None if the simulation
+            cannot.
     """
 
     model: mujoco.MjModel

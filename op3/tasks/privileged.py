@@ -1,9 +1,8 @@
-"""Privileged observations: values that only a simulation has, for critics only.
+"""Privileged observations: values that exist only in simulation, for critics.
 
 Asymmetric actor-critic (Pinto et al. 2017): a policy can only use sensors, while the critics that train it may use
-more. A term is a function or class of the state that returns ``[env, number]``; its attribute ``mirror`` has one sign
-for each number, that of its image in the robot's plane of symmetry. A class has memory and returns 0 when an episode
-begins.
+more. A term is a function or class of the state that returns ``[env, number]``; its attribute ``mirror`` has the sign
+of each number's mirror image in the robot's plane of symmetry. A class has memory and returns 0 when an episode begins.
 """
 
 from __future__ import annotations
