@@ -1,2 +1,2 @@
-"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets from texts,
+"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets from texts, and
 intervals."""

@@ -260,10 +260,10 @@ def simulate(
         motion, along, damping: see above; damping is ``[row, joint, joint]``.
         starts, dynamics_starts: rows at which the lead of each window begins, ``[window]``.
         edits: dynamics that edits of bodies add per unit, ``[edit, row, entry]``.
-        weights: weights of these, ``[candidate, edit]``.
+        weights: weights of the edits, ``[candidate, edit]``.
         misread: edit for the encoder offset of each joint, ``[joint]``, or -1.
         offsets: offsets of initial position and velocity, ``[candidate, 2, joint]``.
-        limbs: see `coupled`.
+        limbs: limbs, see `coupled`.
         here, there, row_weights, matrix, work: rooms.
         preroll: ticks of a lead.
         substeps: steps of a tick.

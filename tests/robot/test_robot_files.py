@@ -183,7 +183,7 @@ def test_robots_travel_between_processes(tmp_path):
         ),
         ({"joints:": "joints: ["}, r"is not valid YAML"),
         ({"{bus_id: 1}": "{bus_id: 200}", "servo:": "board: opencr\nservo:"}, r"bus_id is 200, as that of the opencr"),
-        ({"{bus_id: 1}": "{home: 0}"}, r"line 8: joints.j0 has no bus_id, where other joints have one"),
+        ({"{bus_id: 1}": "{home: 0}"}, r"line 8: joints.j0 has no bus_id although other joints have one"),
         (
             {"servo:": "poses: {up: {j5: 1}}\nservo:"},
             r"line 6: poses.up.j5 names the joint 'j5', which does not exist; there are j0",
@@ -201,7 +201,7 @@ def test_robots_travel_between_processes(tmp_path):
         ),
         (
             {"home: 0.4": "mirror: j1"},
-            r"line 9: joints.j1.mirror names the joint itself; leave `mirror` out",
+            r"line 9: joints.j1.mirror names the joint itself; omit `mirror`",
         ),
         (
             {"{bus_id: 1}": "{bus_id: 1, mirror: j1}", "home: 0.4": "mirror: j2"},

@@ -157,7 +157,7 @@ def test_a_bad_table_gets_one_sentence(tmp_path, offence):
 SIDECARS = {
     "missing": (None, "sidecar is missing; write the metadata"),
     "not YAML": ("joints: [l_knee\nrate: 1", "line 2 is not valid YAML"),
-    "empty": ("", "the file is empty and not a mapping"),
+    "empty": ("", "the file is empty, not a mapping"),
     "a list": ("- 1", "a list and not a mapping"),
     "no mount": ("joints: [l_knee, r_knee]\nrobot: real\nrate: 125", "field mount: the field is missing; add"),
     "rate is text": ("joints: [a]\nrobot: real\nmount: floor\nrate: fast", "field rate: 'fast' is not a number [Hz]"),
