@@ -108,8 +108,7 @@ class WithProgress(Watched):
 def play(
     cfg: DictConfig, task: Task, name: str, field: str = "policy"
 ) -> tuple[list[Rollout], Watched, BatchedEnv, GaitValidity]:
-    """Logs of the episodes of a seed, the policy, the environment and the validity. All policies start from the same
-    states."""
+    """Logs of the episodes of a seed, the policy, the environment and the validity. Initial states are shared."""
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)

@@ -63,8 +63,7 @@ def seeded_faults(node: DictConfig) -> Any:
 
 
 def built(node: DictConfig, **options: Any) -> Any:
-    """The object that a config node describes. Its ValueError is raised unchanged; text in place of a number is
-    reported."""
+    """The object that a config node describes. Its ValueError is raised unchanged; a text for a number is reported."""
     try:
         return instantiate(node, **options)
     except InstantiationException as error:

@@ -1,2 +1,1 @@
-"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets from texts, and
-intervals."""
+"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets, intervals."""

@@ -37,8 +37,7 @@ def with_interval(values: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
 
 
 def wilson_interval(successes: float, trials: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share (Wilson 1927), which stays within 0 and 1 and has a positive width even
-    there."""
+    """Wilson's 95 % interval of a share (Wilson 1927), within 0 and 1 and of positive width even there."""
     z = float(ndtri(0.975))
     share, weight = successes / trials, 1 + z**2 / trials
     middle = (share + z**2 / (2 * trials)) / weight

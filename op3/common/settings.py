@@ -247,8 +247,8 @@ _MOST_ALIASES = 20
 class _Loader(yaml.SafeLoader):
     """YAML 1.2: 1e-3 is a number, `on` a name, and duplicate keys are refused.
 
-    PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; and the last of two equal keys is
-    used.
+    PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; of two equal keys it uses the
+    last.
     """
 
     yaml_implicit_resolvers: dict[Any, Any] = {}

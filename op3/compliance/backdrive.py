@@ -1,5 +1,4 @@
-"""Back-drivability: response of joints to a slowly growing torque at states of the gait, with the complete servo
-law."""
+"""Back-drivability: response of joints to a slowly growing torque at gait states, with the whole servo law."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -175,16 +175,14 @@ class Study:
         return measure_energy(logs, self.model, env.mdp.robot, robot_mass(env), travels=False)
 
     def stiff_landings(self) -> Landings:
-        """Landings of stiff walks with all combinations of step length and foot height, with equal numbers of
-        episodes."""
+        """Landings of stiff walks with all step lengths and foot heights, with equal numbers of episodes."""
         print("stiff walks: landings", flush=True)
         gaits = [SinusoidalGait(step=step, foot_height=height) for step, height in FAMILY]
         actor = Actor("stiff walks", StiffFamily(gaits), self.task.action_map())
         return self._watched(actor, len(FAMILY) * max(1, round(self.sizes.episodes / len(FAMILY))))[1]
 
     def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
-        """Episodes on the first ground, sampled every millisecond: logs, landings, traces, and the robot's mass
-        [kg]."""
+        """Episodes on the first ground, sampled every millisecond: logs, landings, traces, mass [kg]."""
         env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
         watch = StepWatch(env)
         with watch.watching():

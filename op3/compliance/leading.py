@@ -1,5 +1,4 @@
-"""Guidance of a walking robot by hand: it is pulled slowly at its trunk or a foot and compared with an unpulled
-twin."""
+"""Guidance of a walking robot by hand: pulled slowly at trunk or foot and compared with an unpulled twin."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -108,8 +107,7 @@ class _Places:
         self._place, self._turn = batch.bind("xpos"), batch.bind("xmat")
 
     def now(self) -> Array:
-        """Position of the trunk in the world, and of the foot relative to the trunk in its axes: ``[sim, 2, 3]`` in
-        m."""
+        """Positions of the trunk in the world and of the foot in the trunk's frame: ``[sim, 2, 3]`` in m."""
         trunk, foot = self._place[:, self.body["trunk"]], self._place[:, self.body["foot"]]
         turn = self._turn[:, self.body["trunk"]].reshape(-1, 3, 3)
         return np.stack([trunk, np.einsum("sij,si->sj", turn, foot - trunk)], 1)

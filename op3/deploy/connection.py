@@ -246,8 +246,7 @@ SAMPLES = 50
 
 
 def calibrate(connection: Connection, path: str | Path, *, pose_name: str = "zero", report: Report = print) -> ExitCode:
-    """Write the joints' offsets: the mean of `SAMPLES` readings while a person holds the torque-free robot in a
-    pose."""
+    """Write the joints' offsets: the mean of `SAMPLES` readings of a torque-free robot held in a pose."""
     bus = connection.bus
     held, bus.calibration = bus.robot.pose(pose_name), Calibration(robot=bus.robot)
     if not connection.operator.confirm(f"Hold the robot exactly in the pose {pose_name!r}."):

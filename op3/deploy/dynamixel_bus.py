@@ -1,7 +1,6 @@
 """The robot's bus, accessed by joint name through the unmodified dynamixel-sdk.
 
-Reading needs only a `Bus`. Writing needs the only `Writer` of a bus, so that a single object decides what is sent to
-the servos.
+Reading needs only a `Bus`. Writing needs the only `Writer` of a bus, so that one object decides what is sent.
 
 This module adds functions that the SDK does not have. Status packets are parsed one by one to detect the ALERT bit and
 the loss of a single servo. A wait ends a few milliseconds after the last byte instead of after 34 ms. The lock of an
@@ -148,8 +147,7 @@ class Bus:
         return self._try(name, "a ping", lambda: self._sdk.ping(self.port, self.ids[name]))
 
     def ping_all(self) -> dict[str, int]:
-        """Model number of every device that answers, by name. A missing device takes 4 ms instead of the SDK's 0.8
-        s."""
+        """Model number of every device that answers, by name. A missing one takes 4 ms instead of 0.8 s."""
         found = {}
         for name in self.ids:
             with suppress(NoAnswer):
@@ -338,7 +336,7 @@ class Writer:
         bus._try(name, f"{value} for {register}", call)
 
     def sync_write(self, register: str, values: Mapping[str, int] | int) -> None:
-        """Write one register of servos in one packet, by joint or with one value for all. Servos do not answer, so read
+        """Write one register of servos in one packet, by joint or with one value for all. There is no answer, so read
         it back."""
         entry = DYNAMIXEL_X[register]
         if isinstance(values, int):

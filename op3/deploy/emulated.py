@@ -90,7 +90,7 @@ def physics_maker(
     model: str | Path | None = None,
     seed: int = 0,
 ) -> tuple[MakePhysics, str]:
-    """A function that creates the robot in a scene, and metadata that identify it without its hidden parameters; see
+    """A function that creates the robot in a scene, and metadata that identify it without hidden parameters; see
     `emulate`."""
     known = load_robot(robot)
     if model is None:

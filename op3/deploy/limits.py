@@ -108,8 +108,8 @@ class Command:
         return cls(position, *gains)
 
     def limited(self, robot: Robot) -> Command:
-        """This command with targets clipped to the soft limits; raises `Stop` if a number is not finite or a gain is
-        negative."""
+        """This command with targets clipped to the soft limits; raises `Stop` for non-finite numbers or negative
+        gains."""
         for name, values in vars(self).items():
             refuse(robot, name, values, ~np.isfinite(values) | ((values < 0) if name != "position" else False))
         return Command(self.position.clip(*robot.limits.T), self.p_gain, self.d_gain)
@@ -150,8 +150,7 @@ class CurrentLimiter:
 
     @property
     def limit(self) -> Array:
-        """[joint] present limit of the goal current in counts, which decreases linearly while the load rises from 0.9
-        to 1."""
+        """[joint] present limit of the goal current in counts, decreasing linearly for loads from 0.9 to 1."""
         share = ((1 - self.load) / 0.1).clip(0, 1)
         return self._continuous + share * (self._peak - self._continuous)
 

@@ -17,8 +17,7 @@ CONFIRMED = 3
 """Consecutive readings that confirm a temperature; a single one may be a glitch."""
 
 ALIVE_COUNTS = 50
-"""A servo that answers has at least 5 V; a lower reading means that it has restarted and lost its indirect
-addresses."""
+"""A servo that answers has at least 5 V; at less, it has restarted and lost its indirect addresses."""
 
 FASTEST = 3.0
 """Largest speed of a joint, even when pushed, as a multiple of its servo's no-load speed."""

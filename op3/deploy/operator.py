@@ -28,8 +28,7 @@ class Operator:
         """The policy has ended: hold the robot."""
 
     def travelled(self) -> float | None:
-        """Distance travelled since `begin` [m]; None if it is not measured, for example if a person measures it by
-        hand."""
+        """Distance travelled since `begin` [m]; None if not measured, for example if a person measures it."""
         return None
 
 

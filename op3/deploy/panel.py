@@ -107,8 +107,7 @@ class StatusPanel:
         verdict: MonitorResult,
         ticker: Ticker,
     ) -> list[str]:
-        """One row per joint, between a header with time and attitude and a footer with deadlines and warnings; goal
-        currents in A."""
+        """One row per joint, between time and attitude above and deadlines and warnings below; currents in A."""
         timing, attitude = ticker.timing(last=RECENT), ""
         if state.orientation is not None:
             attitude = "roll {:6.1f} pitch {:6.1f} deg   ".format(*np.rad2deg(state.orientation[:2]))

@@ -149,8 +149,7 @@ STOPPING = 2.0
 class FollowPolicy(Phase):
     """The phase in which the policy commands at every fourth deadline.
 
-    A policy with velocity commands is told to stand during the last `STOPPING` seconds and after its command source is
-    lost.
+    A policy with velocity commands must stand during the last `STOPPING` seconds and after its command source is lost.
 
     Args:
         commands: source of the velocity command; None: stand.
@@ -251,8 +250,7 @@ class PolicyReplay:
 
 
 def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
-    """Replay the sensor readings of an episode through a policy and compare; rows may have the loop's or the policy's
-    rate.
+    """Replay the sensor readings of an episode through a policy and compare; rows have the loop's or policy's rate.
 
     Raises:
         ValueError: if the log lacks a channel, has another rate, or was recorded with another kind of policy.

@@ -72,8 +72,7 @@ _CRC = [_after_a_byte(byte << 8) for byte in range(256)]
 
 
 def crc16(data: bytes | bytearray, crc: int = 0) -> int:
-    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion; `crc` is the CRC of preceding
-    bytes."""
+    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion; `crc` is that of earlier bytes."""
     for byte in data:
         crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
     return crc

@@ -138,8 +138,7 @@ class RobotState:
         answered: NDArray[np.bool_],
         imu_answered: bool,
     ) -> RobotState:
-        """Registers of `CONTENTS` in SI units, with `offset` [rad] added to angles, and the board's readings if there
-        is one."""
+        """Registers of `CONTENTS` in SI units, with `offset` [rad] added to angles, and the board's readings if any."""
         volts, seen = units.voltage * raw["voltage"], {}
         supply = float(volts.min())
         if board is not None:

@@ -31,8 +31,7 @@ class SerialPort(dynamixel_sdk.PortHandler):
         return True
 
     def writePort(self, packet: list[int]) -> int:
-        """Send bytes; discard those that a hanging adapter did not accept, so that they do not reach the servos
-        later."""
+        """Send bytes; discard those that a hanging adapter did not accept, so that they are not sent later."""
         assert self.ser is not None
         try:
             return self.ser.write(bytes(packet)) or 0

@@ -37,8 +37,7 @@ def smallest_sizes(stage: NamingStage) -> np.ndarray:
 
 
 def not_shown(stage: NamingStage, joints: Sequence[str]) -> dict[str, list[str]]:
-    """Effects that would not be proposed at any plausible size, with the affected joints; an empty list means all
-    joints."""
+    """Effects that would not be proposed at any plausible size, with the affected joints (empty: all)."""
     visible: dict[Hypothesis, bool] = {}
     for candidate, share in zip(stage.candidates, smallest_sizes(stage), strict=True):
         visible[candidate.hypothesis] = visible.get(candidate.hypothesis, False) or bool(np.isfinite(share))
@@ -54,8 +53,7 @@ def aliasing(diagnosis: "Diagnosis", most: int = 60, *, planned: bool = False) -
     baseline's parameters are projected out.
 
     Args:
-        diagnosis: a diagnosis that has not run; this function fits the baseline and computes the columns of the
-            catalogue.
+        diagnosis: a diagnosis that has not run; its baseline is fitted and the catalogue's columns computed.
         most: largest number of pairs.
         planned: whether the model itself simulated the logs, so that no fit is needed.
 

@@ -220,8 +220,7 @@ def posterior_costs(
     coordinates: Coordinates,
     points: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """-2 log posterior of points under a fit's variances, without constants, ``[point]``, and the points clipped to
-    their bounds."""
+    """-2 log posterior of points under a fit's variances, without constants, ``[point]``, and the clipped points."""
     points = np.clip(points, coordinates.low, coordinates.high)
     residuals = -reduction.reduce(linear.reducers, reduction.errors_at(coordinates, points))
     valid = np.isfinite(judge.rows.variance)

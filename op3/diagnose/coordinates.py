@@ -36,8 +36,7 @@ SPREAD: Mapping[str, float] = {name: share for e in catalogue().values() for nam
 """Standard deviation of parameters between servos of one make, relative to the shared value."""
 
 CHAIN_SPREAD: Mapping[str, float] = {name: usual.spread for name, usual in CHAIN.items() if usual.own}
-"""Standard deviation of the measurement chain's parameters with one value per servo, such as a current sensor's
-zero."""
+"""Standard deviation of the measurement chain's parameters with one value per servo, such as current zeros."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +166,7 @@ def with_chain(model: RobotModel) -> RobotModel:
 
 
 def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
-    """The model with the inertia of a bench's weight and one encoder offset per arm, because each arm is mounted
-    anew."""
+    """The model with the inertia of a bench's weight and one encoder offset per arm, because arms are remounted."""
     if lengths and "link_inertia" not in model.effect_names:
         model = model.with_effect(LinkInertia(), {name: usual.value for name, usual in BENCH.items()})
     if "encoder_offset" not in model.effect_names or len(set(lengths)) < 2:
@@ -234,8 +232,7 @@ def base_coordinates(
 
 
 def robust_spread(values: np.ndarray, deviations: np.ndarray, usual: float, settings: Settings) -> float:
-    """Standard deviation between the servos of this robot; the larger spread that is typical of a make would hide a
-    fault.
+    """Standard deviation between the servos of this robot; a make's larger spread would hide a fault.
 
     A median, which one faulty servo does not change, combined with a log-normal prior about the usual spread.
 

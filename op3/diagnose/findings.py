@@ -120,8 +120,7 @@ class Search:
         return self._name(stage, self.leaders(stage, odds, None))
 
     def leaders(self, stage: NamingStage, odds: np.ndarray, variances: Variances | None) -> list[Proposal]:
-        """The candidates of the hypotheses with the most evidence in the linear model, best first, and their
-        confounders.
+        """The candidates of the best hypotheses in the linear model, best first, and their confounders.
 
         Args:
             stage: the linear model.
@@ -256,8 +255,7 @@ class Search:
         return self.significant(effect.gain) and effect.relevance.matters and effect.log_odds > self.settings.alarm
 
     def _scored(self, stage: NamingStage, refit: Refit, without: np.ndarray) -> ScoredRefit:
-        """A refit with its held-out gain, and its relevance compared with related effects and the baseline's gear
-        law."""
+        """A refit with its held-out gain, and its relevance beside related effects and the gear law."""
         candidate, base, size = stage.candidates[refit.index], refit.base, len(stage.base.point)
         entries, further = base.coordinates.entries[:size], base.coordinates.entries[size:]
         related = [e.coordinates[0] for e in stage.named if candidate.effect.related({e.candidate.effect.name})]

@@ -79,8 +79,8 @@ class HeldOut:
         self._folds = [np.isin(self.runs, np.arange(fold, self.count, folds)) for fold in range(folds)]
 
     def density(self, base: Baseline, reference: Rows) -> np.ndarray:
-        """Held-out log densities of a fitted model, ``[run, joint]``, with the sensor and edge variances of the
-        reference."""
+        """Held-out log densities of a fitted model, ``[run, joint]``, with the reference's sensor and edge
+        variances."""
         reduction, point, coordinates = self.reduction, base.point, base.coordinates
         rows = reduction.rows(base.linear, (), reference)
         priors, variances = step_priors(coordinates, point), base.fit.variances

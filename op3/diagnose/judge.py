@@ -151,8 +151,7 @@ class Judge:
         return total / variances.weight[self.group, joint].T
 
     def _gram(self, variances: Variances) -> tuple[np.ndarray, float, list]:
-        """Whitened products of residual and design with unmodelled torque integrated out, -2 log determinant, and
-        factors."""
+        """Whitened products of residual and design without unmodelled torque, -2 log determinant, factors."""
         size, logdet = len(self.priors.mean) + 1, 0.0
         gram, factors = np.zeros((size, size)), []
         for j, f in enumerate(self._features):
@@ -231,7 +230,7 @@ class Judge:
         return float(result)
 
     def residual(self, joint: int, x: np.ndarray, feature_weights: np.ndarray) -> np.ndarray:
-        """Residual of a joint's rows after coefficients ``x`` and unmodelled torque, ``[window, row]``."""
+        """Residual of a joint's rows after subtracting coefficients ``x`` and unmodelled torque, ``[window, row]``."""
         predicted = np.tensordot(x[self.rows.coefficients[joint]], self.rows.design[joint], 1)
         return self.rows.residual[joint] - predicted - self.rows.features[joint] @ feature_weights
 

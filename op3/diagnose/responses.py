@@ -27,8 +27,7 @@ WIDE_TORQUE = 15.0
 """Numerical: prior standard deviation of the torque of a piece [torque units]; it matters only for joints at rest."""
 
 RATES = PIECES - 1
-"""Numerical: pieces whose rates are compared. The rate of the first piece depends on filter inputs before the
-window."""
+"""Numerical: pieces whose rates are compared. The first depends on filter inputs before the window."""
 
 
 class Reducer(NamedTuple):

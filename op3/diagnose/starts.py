@@ -135,7 +135,7 @@ def _further_starts(
 def with_best_gear(
     reduction: Reduction, thin: Reduction, base: Baseline, optima: list[LocalOptimum]
 ) -> tuple[Baseline, list[LocalOptimum]]:
-    """The baseline with the best gear law after fitting all other parameters, and all optima; unchanged if no law is
+    """The baseline with the best gear law after fitting all other parameters, and all optima; the same if none is
     better."""
     _, gears = _ranked(thin, (gauss_newton(thin, *start, FEW_STEPS) for start in _gear_starts(base)))
     if gears[0].gain <= 0.0:

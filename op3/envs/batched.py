@@ -85,8 +85,7 @@ class BatchedEnv(EnvBase):
         self.timestep = self._simulate(timestep)
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
         self.commander: Any = None
-        """Object that commands the servos at every tick, such as `op3.tasks.StiffWalk`; None: the actions command
-        them."""
+        """Object that commands the servos at every tick, such as `op3.tasks.StiffWalk`; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
         """Called before each tick with its number within the step, for recorders."""
         set_specs(self, self.mdp)

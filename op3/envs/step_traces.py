@@ -30,7 +30,7 @@ class Traces:
 
     Attributes:
         force: external force on each foot, ``[time, sim, foot]`` in N.
-        acceleration: acceleration of the trunk at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an
+        acceleration: trunk acceleration at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an
             IMU.
         sole: height of the lowest corner of each foot's sole, ``[time, sim, foot]`` in m.
         slip: horizontal speed of this corner, ``[time, sim, foot]`` in m/s.

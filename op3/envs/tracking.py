@@ -32,8 +32,7 @@ class Course:
 
     Attributes:
         command: velocity commands, ``[step, robot, 3]``.
-        velocity: velocity forwards and to the left of the heading [m/s], and turning rate [rad/s], ``[step, robot,
-            3]``.
+        velocity: velocity forwards and to the left [m/s], and turning rate [rad/s], ``[step, robot, 3]``.
         yaw: measured heading, unwrapped, ``[step, robot]`` in rad.
         place: position of the base in the world, ``[step, robot, 2]`` in m.
         upright: whether the robot has not fallen yet, ``[step, robot]``.
@@ -160,7 +159,7 @@ def measure_obedience(
         straight = walk_course(actor, model, held(task, (speed, 0.0, 0.0), 8.0), robots, seed, **options)
         late = straight.velocity[round(2.0 / POLICY_PERIOD) :, straight.upright[-1], 0].mean(0)
         table.append((speed, float(late.mean()), float(late.std())) if len(late) else (speed, np.nan, np.nan))
-    report("commands: straight on for 20 s, and a stop")
+    report("commands: walking straight ahead for 20 s, then stopping")
     long = walk_course(actor, model, held(task, (0.2, 0.0, 0.0), 20.0), robots, seed, **options)
     stop = walk_course(actor, model, held(task, (0.2, 0.0, 0.0), 18.0, stop=4.0), robots, seed, **options)
     second, stands = round(1.0 / POLICY_PERIOD), round(6.0 / POLICY_PERIOD)

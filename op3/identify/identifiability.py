@@ -135,8 +135,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _correlation(values: Array, directions: Array) -> Array:
-    """Correlation of the estimates, from the inverse of the information matrix; directions without information use the
-    whole range."""
+    """Correlation of the estimates, from the inverse of the information matrix; uninformed directions use the whole
+    range."""
     weak = 1.0 / np.maximum(np.square(values), 1.0)
     covariance = (directions.T * weak) @ directions
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))

@@ -40,8 +40,7 @@ def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict
     (`experiments/benchmarks/interval_coverage.py`) this step led from the estimate towards the truth if torque
     constant, armature, friction and mass were all too high or all too low. ``d d'`` is added.
 
-    The intervals use Student's t with one degree of freedom less than the number of blocks, and are clipped to the
-    bounds.
+    Intervals use Student's t with one degree of freedom less than there are blocks, and are clipped to the bounds.
 
     Args:
         blocks: indices into the residual, one array per block.

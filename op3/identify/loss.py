@@ -172,8 +172,7 @@ class TrajectoryLoss:
 
 
 def position_error(predictions: Sequence[Prediction], joints: Sequence[str] = ()) -> Tensor:
-    """Mean absolute position error [rad] per log over the given joints or all, ``[candidate, log]``; NaN after a
-    failure."""
+    """Mean absolute position error [rad] per log over the given or all joints, ``[candidate, log]``; NaN if failed."""
     focus = TrajectoryLoss(tuple(joints))
     errors = []
     for prediction in predictions:

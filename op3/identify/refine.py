@@ -9,8 +9,7 @@ from scipy import optimize
 from op3.identify.sensitivity import Array, Box, Residuals, simulate
 
 DIFFERENCE_STEP = 2e-3
-"""Step of finite differences, as a share of a parameter's range: larger than stiction's kinks, smaller than
-curvature."""
+"""Step of finite differences, as a share of a parameter's range: above stiction's kinks, below curvature."""
 
 TRIES = 4
 """Average number of simulated points allowed per step; a step that does not lower the loss is shortened."""

@@ -27,8 +27,7 @@ def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
 
     Args:
         params: config key -> range in Hydra's grammar. A nested mapping `{"motor": {"kt": ...}}` means the dotted key
-            `motor.kt`, because command-line overrides create nested mappings. A range of null removes the key from the
-            search.
+            `motor.kt`, because overrides create nested mappings. A range of null removes the key from the search.
 
     Raises:
         StudyError: if there are no parameters, or a range is invalid.

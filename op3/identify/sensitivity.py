@@ -124,7 +124,7 @@ def sensitivity_at(
         residual: residual at this point, ``[residual]``.
         curvature: estimate of the Jacobian's product with itself; None for short steps along the parameters.
         jump: known effect of jumps on the squared residual.
-        failed_loss: a squared length of the residual that only a diverged simulation has.
+        failed_loss: squared length of the residual that only a diverged simulation reaches.
     """
     size = len(unit)
     if curvature is None:

@@ -57,8 +57,7 @@ def open_storage(storage: str | os.PathLike[str] | None) -> BaseStorage:
 
 
 class _FileLock(BaseJournalFileLock):
-    """A lock that the kernel releases when its holder dies; Optuna's locks are files that remain after a process is
-    killed."""
+    """A lock that the kernel releases when its holder dies; Optuna's lock files remain after a kill."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -77,8 +77,7 @@ class StudySettings:
         search_space: the parameters and their ranges, see `op3.identify.search_space`.
         sampler: name of the sampler, see `op3.identify.samplers`.
         storage: see `op3.identify.storage`; None keeps the study in memory.
-        n_trials: number of finished trials in the study, complete or failed; each further worker may add two
-            populations.
+        n_trials: number of finished trials in the study, complete or failed; each other worker may add two populations.
         population: number of trials that one job evaluates together.
         parallel_populations: number of parallel jobs and of populations requested at once.
         nominal: parameters of the first trial, the baseline; None: no baseline.
@@ -188,8 +187,7 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
 
 
 def checked_outcomes(results: Any, count: int) -> list[TrialOutcome]:
-    """The outcomes of `count` trials; each result is a number, several numbers, None after a failure, or a
-    `TrialOutcome`.
+    """The outcomes of `count` trials; a result is one number or several, None after a failure, or a `TrialOutcome`.
 
     Raises:
         StudyError: if there are more or fewer results than trials, or if a result has another type.
@@ -339,8 +337,7 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
 def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
     """Delete attributes that samplers only need while a trial runs.
 
-    CMA-ES writes its whole state, 10 kB, to every trial of a population, but only reads it from the last complete
-    trial.
+    CMA-ES writes its whole state, 10 kB, to every trial of a population, but only reads the last complete one.
     """
     stored = copy.copy(trial)
     stored.system_attrs = {

@@ -70,7 +70,7 @@ def explore(
     """Search with a surrogate of the residuals, which proposes a batch of points in each round.
 
     A third of a batch minimises the expected loss, and the other two thirds take increasing risk. If proposals
-    coincide, the rest is drawn from the surrogate's level set at twice the best loss, mostly along the most uncertain
+    coincide, the rest is drawn from the surrogate's level set at twice the best loss, mostly along uncertain
     directions.
 
     Args:
@@ -105,8 +105,7 @@ def explore(
 
 
 def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -> NDArray[np.intp]:
-    """Points that a surrogate learns from, best first; poor points are excluded because they behave differently (falls,
-    stops)."""
+    """Points that a surrogate learns from, best first; poor points behave differently (falls, stops)."""
     order = np.argsort(losses, kind="stable")
     order = order[: min(MOST_POINTS, max(2 * count + 4, len(losses) - 2 * first // 5))]
     limit = max(30 * losses[order[0]], losses[order[min(2 * count, len(order) - 1)]])

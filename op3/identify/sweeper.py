@@ -5,8 +5,7 @@ With `-m`, the sweeper writes each population to a file and launches one job wit
 `sweep_or_report` evaluates the file and returns the results. Both ways request the same trials.
 
 Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid with one study and one folder per
-cell. The search space comes only from `hydra.sweeper.params`, which is read in every cell, so a config group may add
-parameters.
+cell. The search space comes only from `hydra.sweeper.params`, read in every cell, so a config group may add parameters.
 
 Folders:
 

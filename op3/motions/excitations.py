@@ -170,8 +170,7 @@ def staircase(
     ramp: float = 0.4,
     rest: float = 0.6,
 ) -> tuple[Array, Array]:
-    """Holds at several angles, each reached from both sides; the rest positions identify static friction and gear
-    losses.
+    """Holds at several angles, each reached from both sides; the rest positions identify stiction and gear losses.
 
     Args:
         joints: amplitude of each joint [rad].

@@ -44,8 +44,7 @@ class Observer:
         layout: name and width of each term, in order.
 
     Raises:
-        ValueError: if a term does not exist or does not fit the robot, or an option is impossible; the message names
-            it.
+        ValueError: if a term does not exist or does not fit the robot, or an option is invalid; names the term.
     """
 
     def __init__(self, terms: Terms, robot: Robot, history: int, example: Sensed):

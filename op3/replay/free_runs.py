@@ -25,8 +25,7 @@ SETTLE = 0.2
 
 
 def settle_time(logs: Sequence[Rollout]) -> float:
-    """Time for which the first command of logs is held before their replay [s]; zero if no controller holds the
-    joints."""
+    """Time for which the first command of logs is held before their replay [s]; zero without a controller."""
     held = [bool((log.array("command/torque_enable")[0] > 0.5).all()) for log in logs if "command/torque_enable" in log]
     return SETTLE if all(held) else 0.0
 

@@ -284,8 +284,8 @@ def _fallback(command: str, log: Rollout) -> ArrayLike:
 
 
 def gain_of(log: Rollout) -> ArrayLike:
-    """Gain of the servos' position loop from the log or otherwise from their makes, [joint]; NaN if the loop is outside
-    the servo."""
+    """Gain of the servos' position loop from the log or otherwise from their makes, [joint]; NaN if outside the
+    servo."""
     laws = [make.position_law for make in map(log.robot.servo, log.joints) if make.loop == "firmware"]
     return log.metadata.firmware_gain or [law.gain.si for law in laws if law] or np.nan
 

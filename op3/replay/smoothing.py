@@ -237,8 +237,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
 
 
 def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: VelocitySensing) -> np.ndarray:
-    """Largest misfit over joints of the parabola through a smoothed state, in standard deviations of a reading,
-    ``[tick]``.
+    """Largest misfit of a joint's parabola through a smoothed state, in standard deviations of a reading, ``[tick]``.
 
     Args:
         state: position, velocity and acceleration, ``[order, tick, joint]``.

@@ -29,7 +29,7 @@ TELLING = 0.2
 def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
     """Internal resistance of the supply [ohm], and its open-circuit voltage in every log ``[tick, joint]`` [V].
 
-    The resistance is 0, and voltages are those measured, if the currents do not explain the changes of the voltage.
+    If the currents do not explain the changes of the voltage, the resistance is 0 and the voltages are measured ones.
 
     Args:
         logs: logs of one robot with bus voltage and currents.

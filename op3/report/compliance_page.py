@@ -23,8 +23,7 @@ LANDING = ("force", "acceleration", "speed", "height")
 def report_compliance(
     measured: Sequence[Measured], differences: Mapping[str, Difference], standing: Mapping[str, Energy], run: RunFolder
 ) -> dict[str, Any]:
-    """Publish measurements of policies and compare the first policy with the others; `standing` is extrapolated to an
-    hour."""
+    """Publish measurements of policies and compare the first policy with the others; `standing` is for an hour."""
     first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
     energies = {each.label: each.energy for each in measured} | {f"{n}, standing": e for n, e in standing.items()}
     currents = {label: dict(zip(e.joints, e.current.tolist(), strict=True)) for label, e in energies.items()}

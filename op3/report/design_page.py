@@ -35,7 +35,7 @@ def report_design(
     places = [list(steps[0].widths).index(name) for name in wanted]
     tables = {
         "plan": (
-            ["step", "motion", "mount", "robot time up to here [s]"],
+            ["step", "motion", "mount", "cumulative robot time [s]"],
             [[i, words(s.name), s.mount, s.seconds] for i, s in enumerate(steps, start=1)],
         ),
         "candidates": (

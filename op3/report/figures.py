@@ -42,8 +42,8 @@ def ranges_figure(
 ) -> go.Figure:
     """Parameters within their ranges: value, 90 % interval, start of the search, and the labels side by side.
 
-    All ranges (paper Table I) have the same length. Values of single joints are open circles. A model without a
-    parameter has no marker for it.
+    All ranges (paper Table I) are drawn with the same length. Values of single joints are open circles. A model without
+    a parameter has no marker for it.
 
     Args:
         bounds: drawn ranges by name, if they differ from the catalogue's.

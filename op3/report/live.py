@@ -21,8 +21,7 @@ from op3.sim import model_for
 STRETCH, REACH = 1.0, 10.0
 """Duration of a displayed part, and time before its end at which the overlay starts at rest in the robot's pose [s].
 
-For a standing robot the overlay starts with the displayed part, because open-loop commands do not keep it upright for
-long.
+For a standing robot the overlay starts with the displayed part, because it soon falls with open-loop commands.
 """
 
 PATIENCE = (120.0, 6.0)
@@ -79,8 +78,7 @@ def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks |
 
 
 def _unseen(folder: Path, known: dict[Path, Growing]) -> tuple[Rollout, float, float] | None:
-    """A log with begin and end [s] of its next displayed part, which is marked as displayed; None if it must grow
-    first."""
+    """A log with begin and end [s] of its next displayed part, marked as displayed; None if it must grow first."""
     logs = []
     for place in folder.rglob(METADATA_FILE):
         one = known.setdefault(place.parent, Growing(place.parent))

@@ -81,8 +81,7 @@ class Page:
         tables: Mapping[str, TableRows] | None = None,
         **context: Any,
     ) -> Self:
-        """The page with prose from the Jinja template ``<template>.md`` in ``templates/``, filled in from the
-        context."""
+        """The page with prose from the Jinja template ``<template>.md`` in ``templates/`` and the context."""
         context |= {"figures": figures or {}, "tables": tables or {}}
         prose = PROSE_TEMPLATES.get_template(f"{template}.md").render(context)
         return cls(prose, figures, tables, template)

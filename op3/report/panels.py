@@ -11,8 +11,7 @@ from plotly.subplots import make_subplots
 from op3.report.style import COMMAND, INK, MEASURED, MUTED, colours, dress, plain
 
 MOST_POINTS = 1000
-"""Points per trace. Longer traces keep the smallest and largest value of each interval, so that peaks remain
-visible."""
+"""Points per trace. Longer traces keep the smallest and largest value of each interval, which preserves peaks."""
 
 _TOP, _BOTTOM, _GAP, _TITLE = 48, 48, 22, 18
 

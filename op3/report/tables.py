@@ -87,8 +87,7 @@ Bounds = Mapping[str, tuple[float, float]]
 def bounded_parameters(
     models: Iterable[RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
 ) -> dict[str, Parameter]:
-    """The parameters of all models by name, with searched ranges and initial values if they differ from the
-    catalogue's."""
+    """The parameters of all models by name, with ranges and initial values that differ from the catalogue's."""
     known = {name: p for model in models for name, p in model.parameters().items()}
     for name, (low, high) in (bounds or {}).items():
         if (base := split_name(name)[0]) in known:

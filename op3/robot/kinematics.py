@@ -114,7 +114,6 @@ def roll_pitch_yaw(quaternion: Array) -> Array:
 
 
 def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
-    """Completed share of a motion at a share of its time, both from 0 to 1, with zero speed and acceleration at the
-    ends."""
+    """Completed share of a motion at a share of its time, both 0 to 1, with zero speed and acceleration at the ends."""
     s = np.clip(share, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)

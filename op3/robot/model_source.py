@@ -146,8 +146,8 @@ def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
 
 
 def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, float]) -> Followed:
-    """Couplings of joints without a servo, from the file or otherwise from the model; a joint coupled to a slide
-    follows the slide's servo."""
+    """Couplings of joints without a servo, from the file or otherwise from the model; a joint on a slide follows its
+    servo."""
     names = {joint.name for joint in spec.joints}  # the file's check rejects other names
     found: Followed = {
         name: (drive.joint, drive.ratio, drive.offset) if (drive := entry.coupled) else (None, 0.0, entry.held or 0.0)

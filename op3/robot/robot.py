@@ -156,8 +156,7 @@ class Robot:
 
     @cached_property
     def sole_geoms(self) -> tuple[int, ...]:
-        """Ids of the geoms on which the robot stands, in the bare model: soles, otherwise colliding geoms of the
-        feet."""
+        """Ids of the geoms on which the robot stands, in the bare model: soles, or colliding geoms of the feet."""
         model = self.bare_model
         if self.file.soles:
             return tuple(int(model.geom(name).id) for name in self.file.soles)
@@ -305,8 +304,8 @@ class Robot:
 
 
 def load_robot(name: str | Path | Robot) -> Robot:
-    """A robot by its name in ``assets/robots`` or by the path of its file; raises `DataFileError` if it does not exist
-    or is invalid."""
+    """A robot by its name in ``assets/robots`` or by the path of its file; raises `DataFileError` if missing or
+    invalid."""
     if isinstance(name, Robot):
         return name
     try:

@@ -269,9 +269,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if entry.bus_id is not None:
             if entry.bus_id in ids:
                 other = ids[entry.bus_id]
-                raise file.fault(
-                    (*place, "bus_id"), f"is {entry.bus_id}, as for {other}; give each joint a different id"
-                )
+                raise file.fault((*place, "bus_id"), f"is {entry.bus_id}, which {other} also has; use another id")
             ids[entry.bus_id] = name
     given = [entry.bus_id is not None for entry in content.joints.values()]
     if any(given) and not all(given):

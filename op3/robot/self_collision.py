@@ -85,8 +85,7 @@ class SelfCollision:
         overlap: float = LARGEST_OVERLAP,
         ahead: float = LARGEST_OVERLAP_AHEAD,
     ) -> Gap | None:
-        """Parts that overlap by more than `overlap` [m] now or by more than `ahead` [m] within `HORIZON`; otherwise
-        None.
+        """Parts that overlap by more than `overlap` [m] now or `ahead` [m] within `HORIZON`; otherwise None.
 
         Args:
             position: measured angles [joint] in rad.

@@ -86,7 +86,7 @@ def _in_counts(
     if robot is not None:
         return found, []
     others = "those of a servo with 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
-    assumed = f"{others}, near its middle" if small else f"{unit}, not {others}"
+    assumed = f"{others}, with values near the middle" if small else f"{unit}, not {others}"
     return found, [f"{why} are assumed to be {assumed}; write `unit:` if the servo's unit differs"]
 
 

@@ -205,8 +205,7 @@ class WeightSchedule:
 class WeightDrive:
     """The hand that lowers the weight of the scene "board_weight", once per control tick.
 
-    The hand holds the weight like a spring and damper and cannot push it down, so the load moves gradually to the
-    board.
+    The hand holds the weight like a spring and damper and cannot push it down, so the board loads gradually.
     """
 
     def __init__(self, model: mujoco.MjModel):

@@ -54,8 +54,7 @@ class Parameter:
         least: smallest physically possible value.
         most: largest physically possible value.
         text: short description.
-        searched: whether it is searched with its effect by default; other parameters are fixed unless a config names
-            them.
+        searched: whether it is searched with its effect by default; others are fixed unless a config names them.
         mirrored: whether it is an angle of the joint, which is mirrored in the joint on the other side.
     """
 

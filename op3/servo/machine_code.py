@@ -22,8 +22,7 @@ def part(function: Callable[..., Any]) -> Any:
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """Decorator for a function over arrays that Python calls, compiled at the first call and cached on disk if
-    possible.
+    """Decorator for a function over arrays that Python calls, compiled at the first call, cached on disk if possible.
 
     The cache is valid while its source file and the law are unchanged; all other functions that it calls are in that
     file.

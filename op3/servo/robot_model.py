@@ -133,7 +133,7 @@ class RobotModel:
         return values
 
     def with_values(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
-        """This model with changed parameter values; a number replaces a shared value, or the value of a condition or
+        """This model with changed parameter values; a number replaces a shared value, or that of a condition or
         joint."""
         estimates = dict(self.estimates)
         for name, value in sorted(values.items(), key=lambda item: "@" in item[0]):  # shared values first
@@ -159,8 +159,7 @@ class RobotModel:
         """The value of each joint for another shared value of a parameter, ``[candidate, joint]``.
 
         A joint with a separate value keeps its ratio to the shared value, because servos differ by ratios; a joint
-        without the effect stays without it. If the shared value is zero or changes sign, the joint keeps its
-        difference.
+        without the effect stays without it. If the shared value is zero or changes sign, it keeps its difference.
 
         Args:
             values: shared values, ``[candidate]``.

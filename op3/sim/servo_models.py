@@ -38,8 +38,7 @@ def servo_model(robot: Robot) -> RobotModel:
 
 
 def model_for(robot: Robot, name: str | Path | None = None) -> RobotModel:
-    """The model with this name, file or PACE run; otherwise the robot file's model or one built from its servo
-    files."""
+    """The model with this name, file or PACE run; otherwise the robot file's or one from its servo files."""
     chosen = name or robot.file.law
     if chosen and (Path(chosen).suffix == ".pt" or (Path(chosen) / "config.pt").is_file()):
         from op3.sim.foreign_models import from_pace  # not read by all who simulate

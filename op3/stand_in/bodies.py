@@ -168,8 +168,7 @@ class _Freedoms:
     def dynamics(
         self, model: pinocchio.Model, data: pinocchio.Data, position: Array, velocity: Array
     ) -> tuple[Array, Array]:
-        """Inverse inertia of the independent joints, ``[own, own]``, and torques of gravity, velocity and passive
-        joints."""
+        """Inverse inertia of the independent joints, ``[own, own]``, and bias torques including passive joints."""
         place, speed = self.all(position), self.spread @ velocity
         bias = pinocchio.nonLinearEffects(model, data, place, speed)
         bias = bias + self._damping * speed + self._spring * (place - self._rest)

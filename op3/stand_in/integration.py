@@ -58,8 +58,7 @@ def _record(names: str) -> np.dtype:
 
 
 SERVO, STATE, ROBOT = _record(_SERVO), _record(_STATE), _record(_ROBOT)
-"""Records of a servo's parameters, of its state, and of values shared by a robot's servos. SI units, temperatures in
-C."""
+"""Records of a servo's parameters, of its state, and of values shared by a robot's servos. SI units and C."""
 
 
 @njit(cache=True)

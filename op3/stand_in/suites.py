@@ -120,8 +120,7 @@ def floor_walking(seed: int) -> list[Excitation]:
 
 
 def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Excitation]:
-    """A leg's suite for the joints of any robot on its base, around the home pose, scaled up as far as their limits
-    allow.
+    """A leg's suite for the joints of any robot on its base, around home, scaled up as far as limits allow.
 
     Args:
         seed: seed of amplitudes, frequencies and phases. Equal seeds give equal commands.

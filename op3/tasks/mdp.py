@@ -239,8 +239,7 @@ class Mdp:
         return Outcome(observation, reward, terms, terminated, truncated, success)
 
     def _value(self, kind: str, term: Term, state: State) -> Tensor:
-        """A term's value, checked to have one number per robot or, for a privileged term, one number per mirror
-        sign."""
+        """A term's value, checked to have one number per robot or, for a privileged term, per mirror sign."""
         value, axes, shape = term(state), "[env]", (self.num_envs,)
         if kind == "privileged":
             axes, shape = "[env, sign of its mirror]", (self.num_envs, len(term.target.mirror))

@@ -100,8 +100,7 @@ def smooth_term(action_change: Tensor, current: Tensor, motion: Tensor) -> Tenso
 
 
 def _swing_series(terms: int = 24) -> tuple[Tensor, Tensor]:
-    """Fourier coefficients of the smoothed swing indicator, the product of those of the interval and of the von Mises
-    density."""
+    """Fourier coefficients of the smoothed swing indicator, those of the interval times those of von Mises."""
     n = np.arange(1, terms + 1)
     swing = 1.0 - STANCE_SHARE
     weight = 2.0 * np.sin(np.pi * n * swing) / (np.pi * n) * ive(n, PHASE_CONCENTRATION) / ive(0, PHASE_CONCENTRATION)

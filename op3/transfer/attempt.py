@@ -96,8 +96,7 @@ class Transfer:
 
     @property
     def settled(self) -> bool:
-        """Whether the interval is on one side of the criterion, so that more episodes would hardly change the
-        result."""
+        """Whether the interval is on one side of the criterion, so more episodes would hardly change the result."""
         low, high = self.interval
         limit = self.criterion if self.walked is None else WALKERS
         return low >= limit or high < limit

@@ -203,7 +203,7 @@ class Reidentification:
         return [{PREFIX + name: value for name, value in each.items()} for each in values]
 
     def _shared(self, what: str, values: Mapping[str, Tensor], count: int, **more: Any) -> Tensor:
-        """Results of `Simulations` for all candidates, interleaved over processes, because neighbours take similar
+        """Results of `Simulations` for all candidates, interleaved over processes because neighbours take equal
         times."""
         shares = [torch.arange(first, count, self._crew.size) for first in range(min(self._crew.size, count))]
         parts = [
@@ -217,8 +217,7 @@ class Reidentification:
     def _measure(
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[ParetoPoint]:
-        """Both objectives; for implausible excitation losses the distance is set to a value larger than any possible
-        distance."""
+        """Both objectives; for implausible excitation losses the distance is set above any possible one."""
         values = columns(trials)
         seen = self._shared("losses", values, len(trials))
         losses, images = seen[:, 0], seen[:, 1:].numpy()

@@ -78,7 +78,7 @@ def unbeaten(candidates: Sequence[ParetoPoint]) -> list[ParetoPoint]:
 
 
 def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:
-    """Ascending indices of the candidates that the fewest others beat in both objectives, except those that the initial
+    """Ascending indices of the candidates that the fewest others beat in both objectives, except those the initial
     model beats."""
     beaten = (losses[None] < losses[:, None]) & (distances[None] < distances[:, None])
     hopeless = (losses > start[0]) & (distances >= start[1])

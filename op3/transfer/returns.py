@@ -26,8 +26,7 @@ ROWS = 96
 class Returns:
     """Returns of a policy on candidate models.
 
-    The walked distance is read once per policy step instead of every tick as in a log, which changes returns by less
-    than 0.1 %.
+    The walked distance is read once per policy step instead of every tick as in a log, changing returns by below 0.1 %.
 
     Attributes:
         returns: R_eval summed over the steps of an episode, ``[candidate, episode]``; NaN if the simulation failed.

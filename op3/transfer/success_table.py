@@ -22,8 +22,7 @@ def _episodes(cells: Sequence[Transferred]) -> tuple[int, int]:
 
 
 def transfer_rates(cells: Sequence[Transferred], control: Sequence[Transferred] = ()) -> dict[str, Any]:
-    """Success rate of a condition, and differences between returns on the robots and expected returns, with 95 %
-    intervals.
+    """Success rate of a condition, and differences between actual and expected returns, with 95 % intervals.
 
     Results of one robot are correlated, so intervals are computed over robots, each with the mean of its cells.
 

@@ -86,8 +86,7 @@ class EmulatedRobot:
         open_cr: the OpenCR; for a robot without one, an object that is not on the bus.
 
     Raises:
-        ValueError: if the robot has servos that this bus does not support, or a fault names a device that it does not
-            have.
+        ValueError: if the robot has servos that this bus does not support, or a fault names an unknown device.
     """
 
     def __init__(

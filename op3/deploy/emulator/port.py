@@ -51,8 +51,7 @@ class VirtualPort(PortHandler):
         return self._robot.bus.available(self._clock.now())
 
     def readPort(self, length: int) -> bytes:
-        """At most this number of bytes; if there are none, time passes until some arrive or the packet's timeout
-        ends."""
+        """At most this number of bytes; if there are none, time passes until some arrive or the timeout ends."""
         self._check()
         bus, clock = self._robot.bus, self._clock
         now = clock.now()

@@ -187,8 +187,7 @@ def two_clocks(view: View) -> Found:
 
 def _after_friction(angle: np.ndarray, target: np.ndarray, period: float) -> float:
     """Share of a position that friction in a soft loop, with damping and gravity, does not explain. In slow motions
-    friction resembles a delay: the joint stays until its command is a certain distance away, then follows at that
-    distance."""
+    friction resembles a delay: the joint stays until its command is some distance away, then follows at it."""
     left = []
     for width in np.quantile(np.abs(target - angle), [0.25, 0.5, 0.75, 0.9, 0.97]):
         held, at = np.empty(len(target)), float(angle[0])

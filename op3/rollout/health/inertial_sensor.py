@@ -63,7 +63,7 @@ def orientation(view: View) -> Found:
         return
 
     def misfits(read: Callable[[np.ndarray], Rotation]) -> tuple[float, float]:
-        """Relative misfit between the orientation's rotation and the gyroscope, and misfit of its vertical to the
+        """Relative misfit between the orientation's rotation and the gyroscope, and of its vertical to the
         accelerometer."""
         before, within, after = (read(angles[rows]) for rows in (first, (first + last) // 2, last))
         apart = (before.inv() * after).as_rotvec() - turned
@@ -206,8 +206,7 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Found:
 
 @check("mount", ORIENTATION, rows=20, unless="orientation")
 def mount(view: View) -> Found:
-    """The trunk rotates although the mount is a stand, or is as still as on a stand although the mount is the
-    ground."""
+    """The trunk rotates although the mount is a stand, or is as still as on a stand while on the ground."""
     angles, where = view.log.array(ORIENTATION), view.metadata.mount
     turned = float(np.ptp(np.unwrap(angles[:, :2], axis=0), axis=0).max())
     moved = float(np.quantile(np.ptp(view.position, axis=0), 0.75))

@@ -113,8 +113,7 @@ class View:
 
     @cached_property
     def rates(self) -> Match | None:
-        """Match of velocities integrated over windows with position changes; None without velocities or with few
-        windows."""
+        """Match of velocities integrated over windows with position changes; None without velocities or few windows."""
         rate = self.get(VELOCITY)
         if rate is None or len(self.time) < 20 or not self.long:
             return None

@@ -60,8 +60,7 @@ def _turned_round(robot: Robot, angles: dict[str, np.ndarray], wrong: list[str])
 
 @check("constant offset", rows=20, unless="position against command")
 def constant_offset(view: View) -> Found:
-    """A joint differs from its command by the same angle in every pose: a whole turn, a homing offset, a wrong zero or
-    sign.
+    """A joint differs from its command by the same angle in every pose: a turn, a homing offset, a wrong zero or sign.
 
     Nothing is reported if the recorded current equals the gain times this angle, because the joint then yields to its
     load.

@@ -22,8 +22,7 @@ _WEIGHS = (0.7, 4.0)  # plausible ratio of servo torque to pendulum weight: 0.86
 
 @check("plausible metadata")
 def plausible(view: View) -> Found:
-    """Mass, length or battery is implausible, or the battery does not fit the voltage; the message names the likely
-    unit."""
+    """Mass, length or battery is implausible, or the battery does not fit the voltage; the likely unit is named."""
     for name, (unit, least, most, typical) in _PLAUSIBLE.items():
         value = getattr(view.metadata, name)
         if value is None or least <= value <= most:

@@ -75,8 +75,7 @@ def stands_still(view: View) -> Found:
 
 
 def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
-    """Whether a joint follows its target with this delay in rows, rather than the target following a joint moved by
-    hand."""
+    """Whether a joint follows its target with this delay in rows, rather than the target a joint moved by hand."""
     if len(target) < 10 * late or min(np.ptp(target), np.ptp(angle)) < 0.2:
         return False
     after, before = delays(angle, target, (late, -late))
@@ -178,8 +177,7 @@ def _sensors_stand(view: View, rows: int) -> Found:
 
 
 def held(view: View) -> bool:
-    """Whether a quiet accelerometer shows that the trunk is held, and the trunk rotates no more than its orientation
-    states."""
+    """Whether a quiet accelerometer shows a held trunk, which rotates no more than its orientation states."""
     force = view.get(FORCE)
     return force is not None and 0 < float(force.std(0).max()) < _SHAKEN
 
@@ -219,8 +217,7 @@ def lets_go(view: View) -> Found:
 
 
 def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval: float) -> list[tuple[int, int]]:
-    """First and last rows of periods without the current that the control law requires, if current flows at other
-    times."""
+    """First and last rows of periods without the current that the control law requires, if it flows at other times."""
     size = np.abs(wanted)
     if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
         return []

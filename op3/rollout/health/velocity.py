@@ -29,7 +29,7 @@ _LAGS = "velocity {} the change of position by {:.2g} s"
 
 @check("velocity against position", VELOCITY, rows=20)
 def velocity(view: View) -> Found:
-    """Velocity and the derivative of position differ in factor, sign, delay or zero, diverge briefly, or belong to
+    """Velocity and the derivative of position differ in factor, sign, delay or zero, diverge briefly, or are of
     different joints."""
     if (fit := view.rates) is None:
         return
@@ -104,8 +104,7 @@ def _says(ratio: float, interval: float) -> str:
 
 
 def _late(view: View, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
-    """Delay of the velocity after the change of position [s], the correlation at this delay, and the smallest
-    correlation up to it."""
+    """Delay of the velocity after the change of position [s], the correlation at it, and the smallest up to it."""
     rows, stride = int(view.windows[1][0] - view.windows[0][0]), view.stride(0.02)
     most = min(round(1.0 / view.interval), len(view.time) // 3)
     turned, summed = (x[rows:] - x[:-rows] for x in (angle, integral(view.time, rate)))

@@ -17,8 +17,8 @@ REFERENCE_TEMPERATURE = 25.0
 class TorqueConstant(Effect):
     """Relative error of the torque constant, and with it of the back-EMF.
 
-    On a fixed base without a known weight, it is exactly equivalent to dividing all masses, inertias and frictions by
-    the same factor.
+    On a fixed base without a known weight, it is equivalent to dividing all masses, inertias and frictions by this
+    factor.
     """
 
     name = "torque_constant"
