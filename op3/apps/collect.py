@@ -166,7 +166,7 @@ def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
 
 
 def read_plan(path: Path) -> list[tuple[str, str]]:
-    """Motions and their mounts from a plan written by `op3 excite` or by hand.
+    """Motions and their mounts from a plan written by `op3 design` or by hand.
 
     Raises:
         ValueError: if the file is not a valid plan; the message names the faulty entry.
