@@ -104,7 +104,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["deploy", "policy=hold"], "policy=hold: no such folder; give the folder of a policy bundle"),
         (["deploy", "policy=[x]"], "a path must be text, got ['x']"),
         (["train", "recipe=wlak"], "recipe=wlak: there is no 'wlak' in the group recipe; the nearest is 'walk'"),
-        (["design", "robot=spot"], "there is no robot 'spot'; there are arm, bench, op3, quadruped, or give the path"),
+        (["design", "robot=spot"], "there is no robot 'spot'; there are arm, bench, op3, quadruped; or give the path"),
         (["design", "joints=[knee]"], "unknown joint 'knee' of op3; the nearest is 'r_knee'"),
         (["design", "mounts=[table]"], "mounts.0 must be one of 'floor' or 'stand', got 'table'"),
         (["compliance", "policy=stiff", "grounds=[]"], "grounds must be a list of length 1 or more, got []"),

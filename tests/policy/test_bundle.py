@@ -76,7 +76,7 @@ def test_non_finite_and_wrong_observations_are_refused(bundle):
     [
         (lambda w: w.pop("layer_1.bias"), "tensor layer_1.bias is missing"),
         (lambda w: w.update(extra=torch.zeros(1)), "unknown tensor extra"),
-        (lambda w: w.update({"layer_0.weight": torch.zeros(256, 100)}), r"layer_0.weight is \(256, 100\) where"),
+        (lambda w: w.update({"layer_0.weight": torch.zeros(256, 100)}), r"layer_0.weight is \(256, 100\), but"),
         (lambda w: w["layer_2.bias"].fill_(torch.nan), "layer_2.bias contains non-finite values"),
         (lambda w: w["observation.scale"].zero_(), "observation.scale contains non-positive values"),
     ],

@@ -158,7 +158,7 @@ SIDECARS = {
     "missing": (None, "sidecar is missing; write the metadata"),
     "not YAML": ("joints: [l_knee\nrate: 1", "line 2 is not valid YAML"),
     "empty": ("", "the file is empty, not a mapping"),
-    "a list": ("- 1", "a list and not a mapping"),
+    "a list": ("- 1", "a list, not a mapping"),
     "no mount": ("joints: [l_knee, r_knee]\nrobot: real\nrate: 125", "field mount: the field is missing; add"),
     "rate is text": ("joints: [a]\nrobot: real\nmount: floor\nrate: fast", "field rate: 'fast' is not a number [Hz]"),
     "misspelt": ("joints: [a]\nrobots: real", "field 'robots': no such field; rename it to robot"),
