@@ -75,7 +75,7 @@ FAILURES = {
     "error": (dict(prepare=overloaded), r"hardware errors: r_knee \(overload\)"),
     "voltage": (dict(faults=Faults(scheduled=(BrownOut(0.0, voltage=10.2),))), "10.2 V at .* charge to at least 10.5"),
     "angle": (dict(prepare=outside), "l_knee is at 2.40 rad, outside its soft limits"),
-    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings contain 1 different block"),
+    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings contain only 1 different block"),
     "tilted": (dict(prepare=lean), "IMU: roll 60 deg.* put the robot upright"),
 }
 
