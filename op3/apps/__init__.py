@@ -1,4 +1,4 @@
-"""The commands as functions with typed arguments and a result object, which contains all printed results.
+"""The commands as typed functions; each returns a result object with everything that the command prints.
 
     from op3.apps.collect import collect
     from op3.apps.identify import identify
@@ -7,8 +7,8 @@
     identified = identify(squat.folders, method="lsq")
     print(identified.headline, identified.model)
 
-Each module has a function of its name for Python, and a `main` for Hydra behind ``op3 <command>`` and
-``python experiments/<name>.py``. Both read the same config, ``conf/<name>.yaml``.
+Each module has a function of the same name, for Python, and a Hydra `main`, which ``op3 <command>`` and ``python
+experiments/<name>.py`` call. Both read ``conf/<name>.yaml``.
 """
 
 from collections.abc import Mapping
@@ -35,4 +35,4 @@ COMMANDS: Mapping[str, str] = {
     "emulate": "emulate_robot",
     "compare": "compare_runs",
 }
-"""Module in `op3.apps` and config of each command."""
+"""Module in `op3.apps`, and config, by command."""

@@ -1,4 +1,4 @@
-"""Check a robot file: its joints, the parts of its model that are used, and a picture of its home pose.
+"""Check a robot file: print its joints and the parts of its model in use, and draw its home pose.
 
 op3 check robot=<robot.yaml> [out=<picture>.png]
 
@@ -19,7 +19,7 @@ from op3.robot.robot import robot_files
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Print the table of a robot, and draw it."""
+    """Print the joint table of a robot, and draw the robot."""
     robot = load_robot(cfg.robot)
     out, files = cfg.out, []
     if out is None and robot.path not in robot_files().values():

@@ -107,18 +107,18 @@ def collect(
 
 
 def run(cfg: DictConfig) -> Collected:
-    """Record as often as the config requests."""
+    """Record the number of logs that the config requests."""
     folders = tuple(record_all(cfg))
     logs = [Rollout.load(folder) for folder in folders]
     rows, seconds = sum(log.rows for log in logs), sum(log.duration for log in logs)
     falls = sum(bool(log.metadata.fallen) for log in logs)
     fell = f"; the robot fell in {falls}" if falls else ""
-    headline = f"{len(logs)} recording{'s' * (len(logs) != 1)}: {rows} rows, {seconds:.2f} s in all{fell}."
+    headline = f"{len(logs)} recording{'s' * (len(logs) != 1)}: {rows} rows, {seconds:.2f} s in total{fell}."
     return Collected(output_folder(), headline, folders=folders)
 
 
 def record_all(cfg: DictConfig) -> list[Path]:
-    """Record as often as asked and return the rollout folders."""
+    """Record all repeats and return the folders of the logs."""
     check_same(place(ASKED), asked())
     if cfg.plan is not None:
         return collect_plan(cfg, read_plan(Path(cfg.plan)))
@@ -135,7 +135,7 @@ def record_all(cfg: DictConfig) -> list[Path]:
 
 
 def check_made_for(motion: Motion, robot: str) -> None:
-    """Refuse a motion of another robot."""
+    """Raise an error if the motion belongs to another robot."""
     known = load_robot(robot)
     if load_robot(motion.robot).path != known.path:
         general = "chirp, multisine, staircase or triangle"
@@ -145,7 +145,7 @@ def check_made_for(motion: Motion, robot: str) -> None:
 
 
 def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
-    """Record motion after motion; all are checked before the first one is played."""
+    """Record the motions in turn, after checking all of them."""
     motions = {name: library_motion(name, cfg.robot) for name, _ in plan}
     for name, mount in plan:
         check_made_for(motions[name], cfg.robot)
@@ -166,17 +166,17 @@ def collect_plan(cfg: DictConfig, plan: list[tuple[str, str]]) -> list[Path]:
 
 
 def read_plan(path: Path) -> list[tuple[str, str]]:
-    """Motions with their mounts from a plan that `design_excitation.py` wrote, or by hand.
+    """Motions and their mounts from a plan written by `op3 design` or by hand.
 
     Raises:
-        ValueError: naming what is wrong, if it is not a plan.
+        ValueError: if the file is not a valid plan; the message names the faulty entry.
     """
     entries = read_yaml(path).get("plan")
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{path} is not a plan: write `plan:` with a list of {{motion: ..., mount: ...}}")
     for number, entry in enumerate(entries):
         if not isinstance(entry, dict) or set(entry) != {"motion", "mount"} or entry["mount"] not in MOUNTS[:2]:
-            raise ValueError(f"{path}, entry {number}: need a motion and a mount (floor or stand), got {entry!r}")
+            raise ValueError(f"{path}, entry {number}: give a motion and a mount (floor or stand), got {entry!r}")
     return [(entry["motion"], entry["mount"]) for entry in entries]
 
 
@@ -204,17 +204,17 @@ def collect_episodes(cfg: DictConfig) -> list[Path]:
 
 
 def record(cfg: DictConfig, robot: Any, motion: Motion, name: str) -> Path:
-    """Play a motion once and save the log, unless that has been done; return its folder."""
+    """Play a motion once and save the log, unless the log already exists; return its folder."""
     if recorded(robot, name):
         return place(name)
     gains = {name: _own(motion, name) if cfg[name] is None else cfg[name] for name in ("p_gain", "d_gain")}
     for make in load_robot(motion.robot).servos:
-        # here the torque K d w of a period T turns the speed w of a bare rotor, of inertia J at the output, into -w
+        # limit: a torque K d w over one period T reverses the speed w of a bare rotor with inertia J at the output
         most = 2 * make.motor.armature.si / (make.output_constant * PERIOD)
         if make.loop == "current" and gains["d_gain"] >= most:
             given = gains["d_gain"]
             raise ValueError(
-                f"d_gain must be below {most:.2f} A s/rad, because the {make.name} shakes above it; got {given}"
+                f"d_gain must be below {most:.2f} A s/rad, above which the {make.name} oscillates; got {given}"
             )
     return save(robot.play(motion, **gains, recording=name), name)
 
@@ -230,16 +230,16 @@ def place(name: str) -> Path:
 
 
 def recorded(robot: Any, name: str) -> bool:
-    """Whether a recording exists already; if so, the robot skips it."""
+    """Whether a recording already exists and is therefore skipped."""
     if not place(name).exists():
         return False
-    print(f"{place(name)}: recorded before", flush=True)
+    print(f"{place(name)}: already recorded", flush=True)
     robot.skip()
     return True
 
 
 def save(rollout: Rollout, name: str) -> Path:
-    """Write a log into the run's folder and say how it ended; return its folder."""
+    """Write a log into the run's folder and print how it ended; return its folder."""
     known = {"date": datetime.datetime.now().isoformat(timespec="seconds"), "git_hash": git_hash()}
     rollout = Rollout(rollout.data, rollout.metadata.replace(**known))
     remember(place(ASKED), asked())
@@ -248,20 +248,20 @@ def save(rollout: Rollout, name: str) -> Path:
     ended = extra.get("ended_by")
     outcome = f"ended: {ended}" if ended else "the robot fell" if rollout.metadata.fallen else "complete"
     if "afterwards" in extra:
-        outcome += f" at its end; on the way to the end pose: {extra['afterwards']}"
+        outcome += f" at its end; while moving to the end pose: {extra['afterwards']}"
     print(f"{folder}: {rollout.rows} rows, {rollout.duration:.2f} s, {outcome}")
     return folder
 
 
 def _own(motion: Motion, name: str) -> Any:
-    """A gain of the motion as a robot plays it: one number, or [row, 1] for all joints."""
+    """A gain of the motion in the form that a robot takes: one number, or [row, 1] for all joints."""
     gain = np.asarray(getattr(motion, name))
     return gain[:, None] if gain.ndim else float(gain)
 
 
 @contextmanager
 def exit_code() -> Iterator[None]:
-    """End the process with the exit code of what stopped the robot."""
+    """Exit with the code for the reason why the robot stopped."""
     try:
         yield
     except (Stop, Unplugged) as error:

@@ -17,7 +17,7 @@ PRESETS: Mapping[str, Sequence[str]] = {
 
 
 def documentation(app: str) -> str:
-    """The docstring of a command's module in `op3.apps`, read without importing it; else that of the running script."""
+    """The docstring of a command's module, read without importing it, or that of the running script."""
     path = Path(__file__).parent / f"{app}.py"
     path = path if path.exists() else Path(sys.argv[0])
     return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
@@ -55,7 +55,7 @@ def completion() -> str:
         words[first] = [second, *words[first], *words.pop(name)]
     cases = "\n".join(f'    {name}) words="{" ".join(dict.fromkeys(each))}" ;;' for name, each in words.items())
     commands = " ".join([*words, "doctor", "completion"])
-    # bash takes `=` for the end of a word: what stands before it is not to be written again
+    # bash ends words at `=`, so completions must not repeat the text before it
     return (
         "_op3() {\n"
         '  local words line="${COMP_LINE:0:COMP_POINT}"\n'
@@ -71,7 +71,7 @@ def completion() -> str:
 
 @cache
 def settings_of(config: str) -> list[str]:
-    """Overrides that a config takes: ``group=name`` for every name of its groups, ``setting=`` for its fields."""
+    """Overrides that a config accepts: ``group=name`` for each option of its groups, ``setting=`` for its fields."""
     import yaml
 
     content = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) or {}
@@ -97,7 +97,7 @@ def names_in(group: str) -> list[str]:
 def usage(config: str) -> str:
     """The output of ``--help`` of a command: usage, settings with defaults and units, config groups."""
     text = config_file(config).read_text(encoding="utf-8")
-    body = re.sub(r"\A(#.*\n)+", "", text)  # how it is called stands in the script's documentation
+    body = re.sub(r"\A(#.*\n)+", "", text)  # the script's documentation describes the usage
     body = re.sub(r"^(defaults|hydra):\n(?: .*\n|\n)*", "", body, flags=re.MULTILINE)
     body = re.sub(r"\n{3,}", "\n\n", body).strip()
     groups: dict[str, list[str]] = {}
@@ -111,5 +111,5 @@ def usage(config: str) -> str:
         parts += ["Groups (group=name):", "\n".join(listed)]
     if asked := asked_for(config):
         parts.append(f"`{asked}=` may be omitted for the first argument.")
-    parts.append("With -m, several values (seed=0,1,2) start one run each; --cfg job prints all settings.")
+    parts.append("With -m, each of several values (seed=0,1,2) starts a run; --cfg job prints all settings.")
     return "\n\n".join(parts)

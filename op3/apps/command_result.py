@@ -15,7 +15,7 @@ class CommandResult:
         headline: the result in a sentence or two, with units.
         numbers: all numbers by dotted key, as in ``result.yaml``.
         objective: number that a sweep of the command optimises.
-        files: files that the command prints at its end; None: page and numbers, if they exist.
+        files: files whose paths the command prints last; None: the page and the numbers, if they exist.
     """
 
     folder: Path
@@ -25,7 +25,7 @@ class CommandResult:
     files: tuple[Path, ...] | None = None
 
     def __str__(self) -> str:
-        """The headline, up to five key numbers, and the paths: a command's last lines."""
+        """The last lines of a command: the headline, up to five key numbers, and the paths."""
         key_numbers = [f"  {line}" for line in self.numbers.get("key_numbers", ())]
         files = self.files
         if files is None:

@@ -1,4 +1,4 @@
-"""Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls, heat.
+"""Measure how compliant policies are: gains, back-driven joints, landings, pushes, guidance by hand and heat.
 
 op3 compliance policy=<bundle>
 op3 compliance policy=[<bundle>,<trained with a fixed gain>]
@@ -34,10 +34,10 @@ def compliance(
     folder: str | Path | None = None,
     overrides: Sequence[str] = (),
 ) -> CommandResult:
-    """Measure how compliant policies are: gains, back-driven joints, landings, pushes, pulls and heat.
+    """Measure how compliant policies are: gains, back-driven joints, landings, pushes, guidance by hand and heat.
 
     Args:
-        policy: folder of a bundle, or several; the first one is compared with the others.
+        policy: folder of one bundle or of several; the first is compared with the others.
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the config.
         seed: seed of the episodes.
         folder: folder of the run; None: a temporary folder.
@@ -51,7 +51,7 @@ def compliance(
 
 
 def names(value: Any) -> list[str]:
-    """Policies: one or a list."""
+    """The policies as a list, given one or a list."""
     given = [value] if isinstance(value, str) else value
     if not (isinstance(given, list) and given and all(isinstance(name, str) and name for name in given)):
         raise ValueError(f"policy must be one folder or a list of folders, got {value!r}")
@@ -59,7 +59,7 @@ def names(value: Any) -> list[str]:
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Measure all policies and report."""
+    """Measure all policies and write the report."""
     torch.set_num_threads(1)
     options = {"gain_scale": cfg.gain_scale, "num_threads": cfg.threads}
     model, sizes = load_model(cfg.model), Sizes(**plain(cfg.sizes))

@@ -1,4 +1,4 @@
-"""The config of a command, composed as Hydra does, for calls from Python; settings as overrides."""
+"""Composes the config of a command as Hydra does, for calls from Python."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,8 +35,8 @@ def configured(
     Args:
         app: module in `op3.apps`, whose config has the same name.
         overrides: as on the command line; they come after the arguments.
-        folder: of the run; None: a new temporary one.
-        arguments: settings by name, or by the shorter one of `SETTINGS_OF`; None leaves the config's default.
+        folder: folder of the run; None: a new temporary folder.
+        arguments: settings by name, or by their short name in `SETTINGS_OF`; None keeps the config's default.
     """
     given = {SETTINGS_OF.get(name, name): value for name, value in arguments.items() if value is not None}
     overrides = [*(override(name, value) for name, value in given.items()), *overrides]
@@ -50,14 +50,14 @@ def configured(
         cfg = OmegaConf.masked_copy(whole, [str(name) for name in whole if name != "hydra"])
         check(cfg)
         yield cfg
-    except InstantiationException as error:  # what could not be built says enough
+    except InstantiationException as error:  # the cause names the invalid value
         raise error.__cause__ or error from None
     finally:
         HydraConfig.instance().cfg = outer
 
 
 def composed(config: str, overrides: Sequence[str], hydra: bool = False) -> DictConfig:
-    """A config with these overrides, with Hydra's own part where `hydra`."""
+    """A config with these overrides; with `hydra`, it includes Hydra's own settings."""
     register()
     outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()

@@ -29,7 +29,7 @@ def output_folder() -> Path:
 
 
 def reported(kind: type[Made], values: Mapping[str, Any], objective: str | None = None, **more: Any) -> Made:
-    """The result of a command from the numbers that its page was published with.
+    """The result of a command, built from the numbers published on its page.
 
     Args:
         kind: class of the result.
@@ -47,7 +47,7 @@ def by_name(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def command_of_run() -> str:
-    """The command that makes this run again, with its overrides."""
+    """The command with overrides that reproduces this run."""
     hydra = HydraConfig.get()
     names = {app: ["op3", *command.split()] for command, app in COMMANDS.items() if command != "demo"}
     given = [*hydra.overrides.task, *(word for word in hydra.overrides.hydra if "sweeper" in word)]
@@ -57,17 +57,17 @@ def command_of_run() -> str:
 
 
 def model_artifact(cfg: DictConfig) -> list[tuple[str, Path]]:
-    """The file of a config's model, as an artifact that the run has read; empty if the model is the robot's own."""
+    """The config's model file as an input artifact of the run; empty if the robot's own model is used."""
     return [("model", find_model(cfg.model))] if cfg.get("model") else []
 
 
 READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
-"""Type of the artifact that each of these fields names, besides the model."""
+"""Artifact type of each field that names an input, besides the model."""
 
 
 def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
-    """This run's folder with its provenance; `made` names the files in it that become artifacts, by kind."""
-    from op3.report import RunFolder  # brings plotly, which a deployment need not load
+    """This run's folder with its provenance; `made` lists the files that become artifacts, by kind."""
+    from op3.report import RunFolder  # imports plotly, which a deployment does not need
 
     folder = output_folder()
     given = {name: plain(cfg[name]) for name in READ if name in cfg}

@@ -2,8 +2,8 @@
 
 op3 demo diagnose [hidden_effect=backlash] [severity=clear] [seed=3] [hidden_robot=arm]
 
-The robot's physics are independent of op3's. A hash of the answer is written before the diagnosis begins; the answer is
-read after it has ended.
+The robot's physics are independent of op3's. A hash of the answer is written before the diagnosis begins, and the
+answer is read only after it has ended.
 """
 
 import hashlib
@@ -37,12 +37,12 @@ def record(case: Case, folder: Path) -> Path:
 
 
 def where(joints: list[str], shared: bool) -> str:
-    """Joints in words."""
+    """The joints as text."""
     return "all joints" if shared else " and ".join(map(words, joints))
 
 
 def hidden(answer: Mapping[str, Any]) -> str:
-    """The hidden effect of a sealed answer, in words."""
+    """The hidden effect of a sealed answer, as text."""
     texts = []
     for effect in answer["effects"]:
         kind = KINDS[effect["name"]]
@@ -52,7 +52,7 @@ def hidden(answer: Mapping[str, Any]) -> str:
 
 
 def named(finding: Mapping[str, Any]) -> str:
-    """A finding in a line."""
+    """A finding as one line of text."""
     return (
         f"{words(finding['effect'])} in {where(finding['joints'], finding['shared'])}, probability"
         f" {finding['probability']:.2f} ({words(finding['parameter'])} {span((finding['size'], *finding['interval']))})"
@@ -81,7 +81,7 @@ def ending(content: Mapping[str, Any], folder: Path) -> str:
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Draw, seal, record, diagnose, open."""
+    """Choose a hidden effect, seal the answer, record logs, diagnose them, and open the answer."""
     torch.set_num_threads(1)
     threadpool_limits(1)
     folder = output_folder()

@@ -74,10 +74,10 @@ def design(
 
 
 def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list[PlannedRecording], dict[str, str]]:
-    """Simulate every motion on every mount, and report those that cannot be evaluated."""
+    """Simulate every motion on every mount, and return those that cannot be evaluated with the reason."""
     model, robot = chosen_model(cfg), load_robot(cfg.robot)
     joints = robot.controlled if cfg.joints is None else tuple(cfg.joints)
-    robot.indices(joints)  # before minutes of motions
+    robot.indices(joints)  # checked before simulations that take minutes
     candidates, left_out = [], {}
     for name in plain(cfg.motions) or named_configs("motion"):
         motion = library_motion(name, cfg.robot)

@@ -2,9 +2,9 @@
 
 op3 diagnose data=<folder of logs> model=<model.yaml or name in assets/models>
 op3 diagnose data=<folder of logs> model=paper mode=loop      # repeats it from the returned model
-op3 diagnose data=<folder of logs> model=paper mode=aliasing  # which effects these logs can show
+op3 diagnose data=<folder of logs> model=paper mode=aliasing  # which effects these logs reveal
 op3 diagnose data=<folder> model=paper policy=assets/policies/balance [actual=<logs of its episodes>]
-op3 diagnose planned=leg_suite mode=aliasing   # which effects a suite would show
+op3 diagnose planned=leg_suite mode=aliasing   # which effects a suite would reveal
 op3 diagnose "planned=[squat_fast,multisine_legs]" mode=aliasing
 """
 
@@ -84,7 +84,7 @@ def diagnose(
         data: logs of one robot on a stand, or of a servo on a bench: a folder, a pattern or a list of them.
         model: path of a ``model.yaml`` or a name in ``assets/models``; None: the robot's own.
         robot: robot of the logs; None: as in the logs.
-        mode: ``once``, ``loop`` (repeats from the returned model) or ``aliasing`` (which effects these logs can show).
+        mode: ``once``, ``loop`` (repeats from the returned model) or ``aliasing`` (which effects these logs reveal).
         without: effects of the catalogue that are not considered.
         policy: folder of a bundle whose return is predicted before and after the diagnosis.
         task: task of the policy, a name in ``conf/task``.
@@ -103,7 +103,7 @@ def diagnose(
 
 
 def planned_logs(cfg: DictConfig) -> list[Rollout]:
-    """Logs of the planned motions, simulated with the model."""
+    """Logs of the planned motions, simulated by the model."""
     model = with_chain(chosen_model(cfg))
     if cfg.planned == "leg_suite":
         return planned_suite(model, leg_suite(cfg.seed))
@@ -121,7 +121,7 @@ def attempts(cfg: DictConfig) -> tuple[PolicyBundle, list[Rollout]]:
 
 def returns(cfg: DictConfig, verdict: Verdict, policy: PolicyBundle, episodes: list[Rollout]) -> dict[str, Any]:
     """Predicted returns of a policy before and after the diagnosis, and its measured returns if it has episodes."""
-    from op3.transfer.downstream import downstream  # brings TorchRL, which a diagnosis without a policy need not load
+    from op3.transfer.downstream import downstream  # imports TorchRL, which a diagnosis without a policy does not need
 
     options = {"task": instantiate(cfg.task), "episodes": cfg.episodes, "seed": cfg.seed, "progress": ProgressLine()}
     return {"policy": str(cfg.policy)} | downstream(policy, verdict.base, verdict.model, actual=episodes, **options)
@@ -134,7 +134,7 @@ def main(cfg: DictConfig, truth: Callable[[], str] | None = None) -> Diagnosed:
         truth: reveals what is hidden in a simulated robot, for the page; called after the verdict.
     """
     torch.set_num_threads(1)
-    threadpool_limits(1)  # as in `Diagnosis.run`, for what is outside of it
+    threadpool_limits(1)  # as in `Diagnosis.run`, for the work outside it
     began, folder = time.process_time(), output_folder()
     if cfg.mode not in ("once", "loop", "aliasing"):
         raise ValueError(f"mode must be once, loop or aliasing, got {cfg.mode!r}")
@@ -145,7 +145,7 @@ def main(cfg: DictConfig, truth: Callable[[], str] | None = None) -> Diagnosed:
         effect_class(name)
     if cfg.planned and cfg.mode != "aliasing":
         raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
-    attempted = None if cfg.policy is None else attempts(cfg)  # what is wrong with it is said before minutes of work
+    attempted = None if cfg.policy is None else attempts(cfg)  # errors are raised before work that takes minutes
     data: Any = None if cfg.planned else plain(cfg.data)
     logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data, cfg.robot))
     model = suited(model_for(logs[0].robot, cfg.model), logs)
@@ -176,6 +176,6 @@ def main(cfg: DictConfig, truth: Callable[[], str] | None = None) -> Diagnosed:
     if verdict.windows is not None:
         print(gap_table(verdict.windows))
     values = report_diagnosis(verdict, split, content, run_folder(cfg, model="model.yaml"))
-    # last, so that a verdict means that all is there
+    # written last: if a verdict exists, so do all other files
     (folder / "verdict.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     return reported(Diagnosed, values, verdict=verdict, content=content)

@@ -24,7 +24,7 @@ WATCH_EVERY = 0.5
 """Interval at which the lag of the emulation is checked [s]."""
 
 LARGEST_LAG = 0.03
-"""Lag from which a warning is printed [s]: by then all answers of a sync read are too late."""
+"""Lag above which a warning is printed [s]: all answers of a sync read are then too late."""
 
 
 def robot(cfg: DictConfig) -> EmulatedRobot:
@@ -44,14 +44,14 @@ def robot(cfg: DictConfig) -> EmulatedRobot:
 def ending_signals() -> set[signal.Signals]:
     """The signals that end the server; they are blocked until `watch` handles them."""
     ends = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # `nohup` asks to outlive the terminal
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # started with `nohup`: keep running without the terminal
         ends.remove(signal.SIGHUP)
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
     return ends
 
 
 def watch(server: PtyServer, duration: float | None, ends: set[signal.Signals], say: Callable[[str], None]) -> None:
-    """Wait for the end; warn once if the machine is too busy to answer in time."""
+    """Wait until the server ends; warn once if the machine is too busy to answer in time."""
     end, warned = math.inf if duration is None else time.monotonic() + duration, False
     while server.alive and (left := end - time.monotonic()) > 0:
         if signal.sigtimedwait(ends, min(WATCH_EVERY, left)) is not None:
@@ -59,10 +59,10 @@ def watch(server: PtyServer, duration: float | None, ends: set[signal.Signals], 
         if server.longest_lag > LARGEST_LAG and not warned:
             warned = True
             say(
-                f"{1e3 * server.longest_lag:.0f} ms behind the wall clock: this machine is too busy, and a program on"
-                " the port sees servos that answer late or not at all"
+                f"{1e3 * server.longest_lag:.0f} ms behind the wall clock: this machine is too busy, so a program on"
+                " the port gets late answers from the servos or none"
             )
-    server.wait(0.0)  # raises what has ended it
+    server.wait(0.0)  # raises the error that ended the server
 
 
 def main(cfg: DictConfig) -> None:
@@ -74,7 +74,7 @@ def main(cfg: DictConfig) -> None:
     with PtyServer(emulated, cfg.baud) as server:
         say(f"port: {server.path}")
         if load_robot(cfg.robot).file.board is not None:
-            say("the servos have power once 1 is written to register 24 of the OpenCR, id 200; Ctrl-C ends")
+            say("write 1 to register 24 of the OpenCR (id 200) to power the servos; Ctrl-C ends the server")
         try:
             watch(server, cfg.duration, ends, say)
         except Exception as error:

@@ -76,8 +76,8 @@ def evaluate(
     Args:
         policy: folder of a bundle, or ``hold``, ``zero``, ``random``, ``stiff``.
         task: a name in ``conf/task``.
-        model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the robot's file.
-        robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: the model of the robot file.
+        robot: a name in ``assets/robots`` or the path of a robot file; None: the robot of the task.
         episodes: number of episodes.
         baseline: policy to compare with on the same episodes.
         seed: seed of the episodes.
@@ -93,7 +93,7 @@ def evaluate(
 
 
 class WithProgress(Watched):
-    """A policy that shows the progress of its episodes of at most `steps` steps."""
+    """A policy that prints the progress of its episodes, which have at most `steps` steps."""
 
     def __init__(self, policy: Any, env: BatchedEnv, steps: int):
         super().__init__(policy, env)
@@ -108,8 +108,7 @@ class WithProgress(Watched):
 def play(
     cfg: DictConfig, task: Task, name: str, field: str = "policy"
 ) -> tuple[list[Rollout], Watched, BatchedEnv, GaitValidity]:
-    """Logs of the seed's episodes, whose initial states are the same for every policy; policy, environment and
-    validity."""
+    """Logs of the episodes of a seed, the policy, the environment and the validity. Initial states are shared."""
     known = dict(seed=cfg.seed, hold_gain=cfg.hold_gain, gain_scale=cfg.gain_scale, field=field)
     actor = find_actor(name, task, **known)
     options = dict(num_threads=cfg.threads, randomisation=cfg.randomisation, gain_scale=cfg.gain_scale)
@@ -120,7 +119,7 @@ def play(
 
 
 def passed(logs: Sequence[Rollout], task: Task, prefix: str = "") -> dict[str, Any]:
-    """Shares of episodes that succeeded and that stayed upright, the first with Wilson's 95 % interval."""
+    """Share of successful episodes with Wilson's 95 % interval, and share of episodes without a fall."""
     successes = sum(succeeded(log, task) for log in logs)
     return {
         f"evaluation.{prefix}success": successes / len(logs),
@@ -133,7 +132,7 @@ def card_folder(cfg: DictConfig) -> Path | None:
     """Folder of the bundle that gets a card; None if none is requested.
 
     Raises:
-        ValueError: if the policy is not a bundle or its folder is not writable, before minutes of episodes.
+        ValueError: if the policy is not a bundle or its folder is not writable; checked before the episodes run.
     """
     if not cfg.card:
         return None
@@ -148,7 +147,7 @@ def card_folder(cfg: DictConfig) -> Path | None:
 
 
 def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
-    """Measure the content of the card, write it into the bundle, and print it."""
+    """Measure the card's content, write the card into the bundle, and print it."""
     variations = {name: Variation(**values) for name, values in plain(cfg.variations).items()}
     facts = provenance(cfg)
     made = {name: facts[name] for name in ("command", "git_hash", "git_changes", "date", "seed") if name in facts}
@@ -168,7 +167,7 @@ def write_card(cfg: DictConfig, task: Task, folder: Path) -> None:
 
 
 def plain_obedience(obeyed: Obedience) -> dict[str, Any]:
-    """How well a walk tracks its commands, as plain values."""
+    """Errors with which a walk tracks its commands, as plain values."""
     values = dataclasses.asdict(obeyed)
     values["speeds"] = [list(row) for row in obeyed.speeds]
     return values | {"errors": list(obeyed.errors)}
@@ -203,7 +202,7 @@ def main(cfg: DictConfig) -> Evaluated:
     robot = load_robot(task.robot)
     if len(robot.legs) == 2 and cfg.joint not in robot.controlled:
         raise ValueError(f"joint={cfg.joint}: choose {', '.join(robot.controlled)}")
-    if cfg.baseline is not None:  # before minutes of episodes
+    if cfg.baseline is not None:  # checked before the episodes run
         find_actor(cfg.baseline, task, field="baseline")
     bundle = card_folder(cfg)
     logs, watched, env, validity = play(cfg, task, cfg.policy)
@@ -260,7 +259,7 @@ def main(cfg: DictConfig) -> Evaluated:
             files["episode.mp4"] = "a video of the first episode"
     if bundle is not None:
         write_card(cfg, task, bundle)
-    # a gait's profile is of gains and of a left and a right leg
+    # a gait profile needs P gains and two legs
     long_enough = [log for log in logs if log.duration > 1.5 and takes_gains and len(robot.legs) == 2]
     values = report_evaluation(
         logs,

@@ -22,7 +22,7 @@ from op3.sim.foreign_models import EXPRESSES, expressed, to_bam, to_mjcf
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Write the file, list the effects that it omits, and measure how much worse it predicts the logs."""
+    """Write the file, list the omitted effects, and measure how much larger the error on the logs is without them."""
     if cfg.to not in EXPRESSES:
         raise ValueError(f"to={cfg.to}: write one of {', '.join(EXPRESSES)}; mjlab and Playground take mjcf")
     logs = read_logs(plain(cfg.data), cfg.robot) if cfg.data is not None else []
@@ -42,7 +42,7 @@ def main(cfg: DictConfig) -> CommandResult:
         text = to_mjcf(model, robot, cfg.p_gain, cfg.d_gain)
     out = Path(cfg.out or f"{robot.name}.{'json' if cfg.to == 'bam' else 'xml'}")
     write_text(out, text)
-    said = f"Omitted effects: {', '.join(lost)}." if lost else "All effects of the model are in it."
+    said = f"Omitted effects: {', '.join(lost)}." if lost else "The file includes all effects of the model."
     if logs:
         errors = [predict_logs(one, logs).error_mrad for one in (model, kept)]
         if errors[0] is not None and errors[1] is not None:

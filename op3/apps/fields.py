@@ -86,7 +86,7 @@ class Common:
 
     @classmethod
     def of(cls, cfg: DictConfig) -> "Common":
-        """The common fields that the config has and that are set."""
+        """The common fields that are present and set in the config."""
         names = [field.name for field in dataclasses.fields(cls) if field.name in cfg]
         return cls(**{name: cfg[name] for name in names if not OmegaConf.is_missing(cfg, name)})
 
@@ -98,7 +98,7 @@ KINDS = {
     int: (int | float, "a number"),
     float: (int | float, "a number"),
 }
-"""Types that a setting may have, and their name in error messages, by the type of its default in the config."""
+"""Allowed types of a setting and their name in messages, by the type of its default."""
 
 LOGS = ("data", "heldout", "episodes", "actual", "log", "diagnosis")
 """Fields whose text values are paths of logs."""
@@ -115,14 +115,14 @@ REQUIRED = {
     "what": "a log, a policy bundle, a model.yaml, a robot file or the run of a diagnosis",
     "robot": "a name in assets/robots or a robot file",
 }
-"""Meaning of the fields that commands require."""
+"""Meaning of required fields."""
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse fields of a wrong type, out of range or missing, and names that do not exist.
+    """Raise an error for a missing field, a wrong type, a value out of range or an unknown name.
 
     Raises:
-        ValueError: in one sentence, naming the field and what it must be.
+        ValueError: one sentence that names the field and its valid values.
         FileNotFoundError: if the model is neither a file nor a name.
     """
     Common.of(cfg)
@@ -145,7 +145,9 @@ def check(cfg: DictConfig) -> None:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
             raise ValueError(f"{name}={value}: there is no such file or folder; correct the path")
-    baselines = BASELINES if "baseline" in cfg else ()  # a command that compares with one also takes one as the policy
+    baselines = (
+        BASELINES if "baseline" in cfg else ()
+    )  # where a baseline is a setting, the policy may be a baseline too
     for name, known in {"policy": baselines, "baseline": baselines, "what": model_names()}.items():
         value = None if OmegaConf.is_missing(cfg, name) or cfg.get("live") else cfg.get(name)
         if isinstance(value, str) and value not in known and not here_or_shipped(value).exists():
@@ -167,12 +169,12 @@ def plain(node: Any) -> Any:
 
 
 def whole(cfg: DictConfig, name: str, least: int) -> int:
-    """The whole number in a config's field, which may be a dotted one.
+    """The integer in a field of a config; the field's name may be dotted.
 
     Raises:
-        ValueError: unless it is a whole number of at least `least`.
+        ValueError: if the value is not an integer of at least `least`.
     """
     value = OmegaConf.select(cfg, name)
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+        raise ValueError(f"{name} must be an integer of at least {least}, got {value!r}")
     return value

@@ -76,7 +76,7 @@ def identify(
         effects: effects of the catalogue to switch on in addition.
         method: ``tpe``, ``lsq``, ``cmaes`` or ``tpe+lsq``; None: ``tpe``.
         ablate: effects to switch off for comparison; None: ``dte``.
-        trials: number of trials; None: that of the method.
+        trials: number of trials; None: the default of the method.
         seed: seed of all random numbers.
         folder: folder of the run, where an interrupted run continues; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
@@ -90,10 +90,10 @@ def identify(
 
 
 def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
-    """Logs to fit and logs held out, by files or by a metadata field."""
+    """The fitted logs and the held-out logs, selected by file or by a metadata field."""
     logs = read_logs(plain(cfg.data), cfg.robot)
     heldout = [] if cfg.heldout is None else read_logs(plain(cfg.heldout), cfg.robot)
-    # overrides of a mapping join it: a field of the experiment's that is not wanted is set to null
+    # overrides extend a mapping, so null removes a field set by the experiment
     where = {key: value for key, value in (plain(cfg.heldout_where) or {}).items() if value is not None}
     chosen = logs_where(logs, where, "heldout_where") if where else []
     fitted = [log for log in logs if not any(log is held for held in chosen)]
@@ -105,7 +105,7 @@ def split_logs(cfg: DictConfig) -> tuple[list[Rollout], list[Rollout]]:
 def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
     """The identification that the config describes, for this model."""
     fit_logs, heldout_logs = split_logs(cfg)
-    # a parameter whose range is null is not searched, nor is one of an effect that was switched off for comparison
+    # a parameter is not searched if its range is null or its effect was switched off for comparison
     space, lost = search_space_of(plain(HydraConfig.get().sweeper)), gone(cfg, model)
     names = [key.removeprefix(PREFIX) for key in space]
     names = [name for name in names if split_name(name)[0] not in lost]
@@ -118,7 +118,7 @@ def build(cfg: DictConfig, model: RobotModel, label: str) -> Identification:
 
 
 def base_model(cfg: DictConfig) -> RobotModel:
-    """The model that the config starts from: a model file, and the effects switched on beside it."""
+    """The initial model of the config: a model file with further effects switched on."""
     model = chosen_model(cfg)
     for name, options in plain(cfg.effects).items():
         if name not in model.effect_names:
@@ -129,7 +129,7 @@ def base_model(cfg: DictConfig) -> RobotModel:
 
 
 def gone(cfg: DictConfig, model: RobotModel) -> set[str]:
-    """Parameters of the effects of `ablate` that this model does not have any more."""
+    """Parameters that this model has lost with the effects of `ablate`."""
     return set(base_model(cfg).parameters()) - set(model.parameters())
 
 
@@ -155,7 +155,7 @@ def without_effects(cfg: DictConfig, folder: Path) -> Fit | None:
 
 
 def duration(started: datetime, study: optuna.Study) -> float:
-    """Wall time so far [s]: of this process, and of the study where the sweeper ran it in jobs before this one."""
+    """Wall time so far [s], including earlier jobs of the same study that the sweeper ran."""
     seconds = (datetime.now() - started).total_seconds()
     begun = [t.datetime_start for t in study.trials if t.datetime_start]
     ended = [t.datetime_complete for t in study.trials if t.datetime_complete]
@@ -172,7 +172,7 @@ def main(cfg: DictConfig) -> Any:
         effect_class(name)
     model = base_model(cfg)
     folder = output_folder()
-    if cfg.population is None:  # before anything is simulated
+    if cfg.population is None:  # checked before anything is simulated
         Refine(**plain(cfg.refine))
         read_settings(cfg, HydraConfig.get().sweeper, folder)
     identification = build(cfg, model, f"with {', '.join(cfg.ablate).upper()}" if cfg.ablate else "model")

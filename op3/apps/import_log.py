@@ -2,8 +2,8 @@
 
 op3 import data=<log> [robot=<name or file>] [unwrap=true] [shift='{joint: rad}'] [split=true]
 
-If there is no YAML beside the log, the interpretation is written there for you to correct; `read_log` and every
-`data=` read it. Exit code 1 if a log has an error.
+If no YAML exists beside the log, the command writes its interpretation there; correct it where needed. `read_log` and
+every `data=` use this file. Exit code 1 if a log has an error.
 """
 
 import sys
@@ -25,7 +25,7 @@ from op3.rollout.read import expand, read_episodes
 
 
 def look(path: Path, cfg: DictConfig) -> bool:
-    """Print the content of a log and the findings of the checks; returns whether the log can be used."""
+    """Print the content of a log and the results of the checks; return whether the log can be used."""
     print(masked(f"{path}:"))
     proposed = None
     if not read_side(path).found:
@@ -49,7 +49,7 @@ def look(path: Path, cfg: DictConfig) -> bool:
 
 
 def show(log: Rollout, name: str) -> bool:
-    """Print a recording's channels and the table of findings."""
+    """Print the channels of a recording and the table of problems."""
     names = ", ".join("/".join(key) if isinstance(key, tuple) else key for key in log.channels)
     print(f"{name}: {log.rows} rows, {log.duration:.2f} s, {log.metadata.rate:.4g} Hz")
     print(f"joints {', '.join(log.joints)}\nchannels {names}")
@@ -62,11 +62,11 @@ def show(log: Rollout, name: str) -> bool:
 
 
 def main(cfg: DictConfig) -> CommandResult:
-    """Check every log that `data` names."""
+    """Check every log in `data`."""
     data = plain(cfg.data)
     paths = [path for given in (data if isinstance(data, list) else [data]) for path in expand(given)]
     usable = [look(path, cfg) for path in paths]
     if not all(usable):
-        print("at least one log cannot be used; correct it as described above", file=sys.stderr)
+        print("at least one log cannot be used; correct the problems listed above", file=sys.stderr)
         raise SystemExit(1)
     return CommandResult(output_folder(), f"{len(paths)} log{'s' * (len(paths) != 1)} can be used.", files=())

@@ -1,4 +1,4 @@
-"""Runs commands for Hydra: checks the config, ends errors in one sentence, prints results."""
+"""Runs commands for Hydra: checks the config, prints results, and prints an error as one sentence."""
 
 import importlib
 import sys
@@ -31,8 +31,8 @@ class Job:
 
     Args:
         app: name of the config.
-        module: module with a `main` that takes the config; empty: that of this name in `op3.apps`. Its `INTERRUPTED` is
-            the message after Ctrl-C.
+        module: module with a `main` that takes the config; empty: the module of this name in `op3.apps`. Its
+            `INTERRUPTED` is the message after Ctrl-C.
     """
 
     def __init__(self, app: str, module: str = ""):
@@ -40,17 +40,17 @@ class Job:
         self.__module__ = f"op3.apps.{app}"  # Hydra names the job after it
 
     def __call__(self, cfg: DictConfig) -> Any:
-        """Check, run, print the result; returns what a sweep optimises."""
+        """Check the config, run the command, print the result, and return the number that a sweep optimises."""
         with one_sentence(self.module):
-            register()  # a launcher's worker process has composed nothing itself
+            register()  # in a launcher's worker process nothing is registered yet
             check(cfg)
             module = importlib.import_module(self.module)
-            if hasattr(module, "sweep_or_report"):  # its main is a study
+            if hasattr(module, "sweep_or_report"):  # its `main` runs a study
                 result = module.main(cfg)
             else:
                 result = search(module.main, cfg) if searched() else module.main(cfg)
             if not isinstance(result, CommandResult):
-                return result  # of a population that the sweeper asked for
+                return result  # results of the population that the sweeper requested
             print(result, flush=True)
             return result.objective
 
@@ -68,10 +68,10 @@ def one_sentence(module: str = "") -> Iterator[None]:
     try:
         yield
     except (ValueError, OSError, MemoryError, HydraException, OmegaConfBaseException) as error:
-        if isinstance(error, InstantiationException):  # what could not be built says enough
+        if isinstance(error, InstantiationException):  # the cause names the invalid value
             error = error.__cause__ or error
         if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
-            raise CompactHydraException(as_sentence(error)) from error  # the sweeper says which job it was
+            raise CompactHydraException(as_sentence(error)) from error  # the sweeper names the job
         print(masked(as_sentence(error)), file=sys.stderr)
         raise SystemExit(1) from None
     except KeyboardInterrupt:

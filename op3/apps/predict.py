@@ -26,7 +26,7 @@ from op3.sim import find_model, model_for
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted(CommandResult):
-    """Errors of a model on logs.
+    """Errors of a model's predictions of logs.
 
     Attributes:
         score: errors with intervals, of all logs and by channel, joint and motion.
@@ -53,7 +53,7 @@ def predict(
         model: path of a ``model.yaml``, or a name in ``assets/models``; None: the robot's own.
         robot: robot of the logs; None: as in the logs.
         where: metadata that logs must have; None: all logs.
-        joints: joints that count; None: the controlled joints of the robot's file.
+        joints: joints included in the error; None: the controlled joints in the robot file.
         seed: seed of the bootstrap.
         folder: folder for page and numbers; None: a temporary folder.
         wandb: ``offline``, ``online`` or ``disabled``.
@@ -66,7 +66,7 @@ def predict(
 
 
 def main(cfg: DictConfig) -> Predicted:
-    """Predict, measure, report."""
+    """Simulate the logs, measure the errors, and write the report."""
     torch.set_num_threads(1)
     started = time.monotonic()
     logs = logs_where(read_logs(plain(cfg.data), cfg.robot), plain(cfg.where), "where")

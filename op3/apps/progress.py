@@ -9,13 +9,13 @@ LINE_SECONDS = 10.0
 
 
 class ProgressLine:
-    """Shows progress on standard error: one line that is written over on a terminal, a line now and then in a file."""
+    """Shows progress on standard error: on a terminal as one line that is updated, in a file as occasional lines."""
 
     def __init__(self) -> None:
         self._began, self._written, self._stage = time.monotonic(), -math.inf, ""
 
     def __call__(self, stage: str, share: float) -> None:
-        """Show it; `share` is the part of the whole run that is done."""
+        """Show the progress; `share` is the completed share of the run."""
         now = time.monotonic()
         left = f", {(now - self._began) * (1 / share - 1):.0f} s left" if share > 0.02 else ""
         if sys.stderr.isatty():

@@ -68,11 +68,11 @@ def reidentify(
 
     Args:
         policy: folder of the policy's bundle.
-        model: ``model.yaml`` that it was trained on.
+        model: ``model.yaml`` that the policy was trained on.
         data: log of the excitation that the model was identified from.
         episodes: logs of the policy's episodes on the robot.
         task: task of the policy, a name in ``conf/task``.
-        groups: parameter groups to search; None: those of the config.
+        groups: parameter groups to search; None: the groups of the config.
         diagnosed: whether to diagnose the robot first.
         start_name: name of the initial model on the page.
         seed: seed of all random numbers.
@@ -104,7 +104,7 @@ def build(cfg: DictConfig) -> Reidentification:
     if not episodes:
         raise ValueError(
             f"episodes={plain(cfg.episodes)}: all ended because of {ended_by(others)}, which no simulation of the"
-            " policy reproduces; diagnose the robot, fix the cause, and record new episodes"
+            " policy can reproduce; diagnose the robot, fix the cause, and record new episodes"
         )
     return Reidentification(
         model,
@@ -116,16 +116,16 @@ def build(cfg: DictConfig) -> Reidentification:
         repeats=cfg.repeats,
         race=cfg.race,
         seed=cfg.seed,
-        # a launcher's jobs are side by side already
+        # a launcher already runs its jobs in parallel
         processes=cfg.processes if cfg.population is None else 1,
     )
 
 
 def diagnosed_model(cfg: DictConfig, folder: Path) -> str:
-    """The model file with what a diagnosis finds missing, made once in the run's folder.
+    """The model file with the effects that a diagnosis names, written once into the run's folder.
 
     Raises:
-        ValueError: with -m, where every job would diagnose again.
+        ValueError: with -m, because every job would repeat the diagnosis.
     """
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""`hydra/sweeper=population` for every command: a study over its settings, in which each trial is a run."""
+"""`hydra/sweeper=population` for every command: a study over its settings in which each trial is one run."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -12,17 +12,17 @@ from op3.apps.command_result import CommandResult
 
 
 def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
-    """A job of the study, or the end of it.
+    """Run a job of the study, or finish the study.
 
     Args:
         main: function of the command; the study optimises the `objective` of its result.
         cfg: config of the job.
 
     Returns:
-        The best trial, or in a job for a population the results of its trials.
+        The best trial; in a job that evaluates a population, the results of its trials.
 
     Raises:
-        ValueError: if the command has nothing to optimise, or no run succeeded.
+        ValueError: if the command returns no objective, or no run succeeded.
     """
     from op3.identify.study import TrialOutcome
     from op3.identify.sweeper import sweep_or_report
@@ -45,7 +45,7 @@ def search(main: Callable[[DictConfig], CommandResult], cfg: DictConfig) -> Any:
 
 
 def _trial(main: Callable[[DictConfig], CommandResult], cfg: DictConfig, values: dict[str, Any], folder: Path) -> float:
-    """The objective of a run with these values, which keeps its files in a folder of its own."""
+    """The objective of a run with these values; the run has a separate folder."""
     chosen = deepcopy(cfg)
     with open_dict(chosen):
         del chosen["population"]

@@ -1,4 +1,4 @@
-"""Errors of Hydra, of the system and of op3 as one sentence, with the nearest setting or name where one is misspelt."""
+"""Errors of Hydra, the system and op3 as one sentence that suggests the nearest setting or name for a misspelt one."""
 
 import difflib
 import re
@@ -16,14 +16,14 @@ from op3.common.settings import nearest
 
 
 def explained(error: Exception, config: str) -> str:
-    """An error of Hydra or the system as one sentence, with the nearest setting or name if one is misspelt."""
+    """An error of Hydra or the system as one sentence, with the nearest valid setting or name."""
     text = " ".join(str(error).split())
     if asked := getattr(error, "missing_cfg_file", None):
         group, _, name = str(asked).rpartition("/")
         return no_such(group, name) if group else f"there is no config {name!r}"
     if found := re.match(r"Ambiguous value for argument '([^=]+)=([^']*)'", text):
         name, values = found.groups()
-        return f"{name} has several values: add -m to run one after another, or write {name}=[{values}] for a list"
+        return f"{name} has several values: add -m to run them one after another, or write {name}=[{values}] for a list"
     if "Config group override must be" in text:
         named = [word.partition("=") for word in sys.argv[1:]]
         return next((no_such(group, name) for group, _, name in named if names_in(group)), text)
@@ -32,7 +32,7 @@ def explained(error: Exception, config: str) -> str:
         if asked in known and (unknown := re.search(r"Key '([^']+)' is not in struct", str(error.__cause__))):
             part = asked.rpartition(".")[2]
             if unknown[1] == part:
-                return f"{asked} belongs to another option of its group: the chosen option has no {part!r}"
+                return f"{asked} belongs to another option of its config group; the chosen option has no field {part!r}"
             asked = f"{asked}.{unknown[1]}"
         if options := [word for word in sys.argv[1:] if word in settings_of(config)]:
             known = known_settings(config, options)
@@ -49,28 +49,28 @@ def explained(error: Exception, config: str) -> str:
     if text.startswith("Error merging override") and error.__cause__:
         return f"{text.split()[-1]}: {str(error.__cause__).splitlines()[0]}"
     if asked := getattr(error, "override", None):
-        return f"{asked}: cannot be read; write setting=value, in quotes if it contains spaces"
+        return f"{asked}: invalid override; write setting=value, with quotes around a value that contains spaces"
     return as_sentence(error)
 
 
 def no_such(group: str, name: str) -> str:
-    """The sentence that a group has no such name, with the nearest valid one."""
+    """The message for an unknown name in a config group, with the nearest valid name."""
     return f"{group}={name}: there is no {name!r} in the group {group}{nearest(name, names_in(group))}"
 
 
 def as_sentence(error: BaseException) -> str:
-    """An error as one sentence: errors of the system with the file that they concern, others unchanged."""
+    """An error as one sentence; a system error names its file, other messages are unchanged."""
     if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
         return "not enough memory; use fewer robots, episodes or trials"
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {(error.strerror or str(error)).lower()}; choose another folder"
-    if isinstance(error, OmegaConfBaseException):  # where in the config it was stands in lines below
+    if isinstance(error, OmegaConfBaseException):  # the following lines locate the error in the config
         return re.sub(r"^\w+ raised while resolving interpolation: ", "", str(error).splitlines()[0])
     return " ".join(str(error).split())
 
 
 def known_settings(config: str, options: Sequence[str] = ()) -> list[str]:
-    """Dotted names of the settings and groups of a config with these options of its groups, by default its own."""
+    """Dotted names of a config's settings and groups, with these options of its groups or the default ones."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(config_file(config).parent), version_base="1.3"):
         cfg = compose(config, list(options), return_hydra_config=True)

@@ -49,7 +49,7 @@ JUDGED = {"balance": "balance_eval", "walk": "walk"}
 ROBOTS = ("emulated", "real")
 """Sources that can run policies."""
 UNHEARD = ("train.", "task.", "algorithm.", "environment", "evaluation.", "robot.")
-"""Overrides that the stages would ignore: budget, task and robot set these values."""
+"""Overrides without effect on the stages: budget, task and robot set these values."""
 TOLD = {"balance": "Balancing on a board that tilts", "walk": "Walking"}
 """Names of tasks on the page."""
 EXPECTED_SEED = 1_000_003
@@ -105,7 +105,7 @@ def chosen(group: str) -> str:
 def transfer(
     stages: Stages, cfg: DictConfig, budget: dict, number: int, policy: Path, model: str, began_with: str
 ) -> Transfer:
-    """Run the policy in simulation and on the robot, and decide whether it succeeded."""
+    """Run the policy in simulation and on the robot, and decide whether the transfer succeeded."""
     task = JUDGED[chosen("task")]
     episodes = budget["episodes"]
     expected = stages.run(
@@ -138,7 +138,7 @@ def transfer(
 
 
 def draw(log: Rollout, task: str, path: Path) -> Path | None:
-    """A video of an episode on the robot, once; None where MuJoCo cannot render here."""
+    """A video of an episode on the robot, rendered once; None if MuJoCo cannot render on this machine."""
     if path.exists():
         return path
     scene = build_scene(find_task(task).scene, log.robot)
@@ -147,7 +147,7 @@ def draw(log: Rollout, task: str, path: Path) -> Path | None:
 
 
 def on_robot(cfg: DictConfig) -> dict[str, Any]:
-    """Arguments of `collect` for the robot."""
+    """Arguments of `collect` that select the robot."""
     where = {"source": chosen("source"), "seed": cfg.seed}
     if where["source"] == "emulated":
         return where | {"world": cfg.world, "world_seed": cfg.world_seed}
@@ -155,7 +155,7 @@ def on_robot(cfg: DictConfig) -> dict[str, Any]:
 
 
 def trained(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: str, start: Path | str | None) -> Path:
-    """Train a policy on a model, starting from an earlier policy's networks if there is one; returns the bundle."""
+    """Train a policy on a model, starting from an earlier policy if there is one; return the bundle."""
     how = budget["train" if start is None else "retrain"]
     condition = cfg.conditions[cfg.condition]
     randomised = condition.get("randomisation")
@@ -165,7 +165,7 @@ def trained(stages: Stages, cfg: DictConfig, budget: dict, number: int, model: s
 
 
 def check(cfg: DictConfig) -> dict[str, Any]:
-    """The budget, after the whole config has been checked, before any stage runs.
+    """The budget. Checks the whole config before any stage runs.
 
     Raises:
         ValueError: naming the invalid field.
@@ -176,30 +176,32 @@ def check(cfg: DictConfig) -> dict[str, Any]:
             f" got {cfg.condition}, {chosen('task')}"
         )
     if chosen("source") not in ROBOTS:
-        raise ValueError(f"source must be {' or '.join(ROBOTS)}: it has to play a policy; got {chosen('source')}")
+        raise ValueError(
+            f"source must be {' or '.join(ROBOTS)}: it must be able to run a policy; got {chosen('source')}"
+        )
     name = chosen("budget")
     if name not in cfg.budgets:
         raise ValueError(f"budget must be one of {', '.join(cfg.budgets)}, got {name}")
-    if not 0 < cfg.criterion <= 10:  # beyond, somebody meant per cent
-        raise ValueError(f"criterion is a share of the expected return, 0.8 for 80 %, got {cfg.criterion}")
+    if not 0 < cfg.criterion <= 10:  # a larger value was probably meant in per cent
+        raise ValueError(f"criterion must be a share of the expected return (0.8 for 80 %), got {cfg.criterion}")
     if chosen("source") == "emulated":
         HiddenWorld.find(cfg.world, cfg.world_seed)
     load_model(cfg.conditions[cfg.condition].get("model", cfg.model))
     if not isinstance(cfg.diagnose, bool | None):
-        raise ValueError(f"diagnose must be true, false or null to follow the condition, got {cfg.diagnose!r}")
+        raise ValueError(f"diagnose must be true, false, or null (set by the condition), got {cfg.diagnose!r}")
     for motion in plain(cfg.diagnosis):
         library_motion(motion)
     forwarded = [override for override in HydraConfig.get().overrides.task if override.startswith(UNHEARD)]
     if forwarded:
         raise ValueError(
-            f"{forwarded[0]} has no effect on any stage; write it into the list of the stage's overrides,"
+            f"{forwarded[0]} has no effect on any stage; add it to the overrides of the stage,"
             f" 'budgets.{name}.train=[...]'"
         )
     return OmegaConf.to_container(cfg.budgets[name], resolve=True)  # type: ignore[return-value]
 
 
 def trained_on(cfg: DictConfig) -> str:
-    """The model that the given policy was trained on, which gives its expected return.
+    """The model that the given policy was trained on; it determines the expected return.
 
     Raises:
         ValueError: if it is not available.
@@ -221,16 +223,16 @@ def trained_on(cfg: DictConfig) -> str:
 
 
 def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
-    """All stages, in order."""
+    """Run all stages in order."""
     budget = check(cfg)
     condition = cfg.conditions[cfg.condition]
     diagnoses = bool(condition.get("diagnose")) if cfg.diagnose is None else cfg.diagnose
     base = condition.get("model", cfg.model)
     learns = bool(condition.get("reidentify") or condition.get("retrain") or diagnoses)
     groups = list(condition.groups) if "groups" in condition else None
-    # what cannot be played is refused before anything is collected
+    # an invalid policy is rejected before anything is recorded
     promising = None if cfg.policy is None else trained_on(cfg)
-    # more rounds may be added later
+    # a later run may add rounds
     what = {name: plain(cfg[name]) for name in ("condition", "criterion", "policy", "diagnose", "warm_start", "seed")}
     what |= {group: chosen(group) for group in ("task", "source", "budget")}
     check_same(folder / ASKED, what)
@@ -255,7 +257,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
     transfers = [transfer(stages, cfg, budget, 0, policy, model, began)]
     learned = Learned()
     for number in range(1, cfg.rounds + 1):
-        # a policy that was given has never seen the robot: to learn, it is identified first
+        # a given policy was trained without data of this robot, so the robot is identified before training
         unseen = number == 1 and promising is not None and not randomised
         if transfers[-1].success or not (learns or unseen):
             break
@@ -277,7 +279,7 @@ def loop(cfg: DictConfig, folder: Path) -> dict[str, Any]:
 def diagnosed(
     stages: Stages, cfg: DictConfig, number: int, model: str, policy: Path, failed: Transfer, learned: Learned
 ) -> str:
-    """The model with the effects that a diagnosis on the stand names; the failed episodes show what that improves."""
+    """The model with the effects that a diagnosis names from stand logs, and its gain on the failed episodes."""
     stand = stages.on_stand("stand", list(cfg.diagnosis), on_robot(cfg))
     worth = {"policy": policy, "actual": failed.episodes, "task": JUDGED[chosen("task")]}
     found = stages.run(f"{number}_diagnose", diagnose, data=stand, model=model, seed=cfg.seed, **worth)
@@ -301,12 +303,12 @@ def reidentified(
     how: list[str],
     learned: Learned,
 ) -> str:
-    """The model that matches the returns of those failed episodes that ended in a way that a simulation reproduces."""
+    """The model that matches the returns of the failed episodes whose end a simulation can reproduce."""
     counting, others = that_count(read_logs(failed.episodes))
     if not counting:
         learned.remarks.append(
             f"Nothing was re-identified in round {number}: all episodes ended because of {ended_by(others)}, which no"
-            " simulation of the policy reproduces."
+            " simulation of the policy can reproduce."
         )
         return model
     where = {"policy": failed.policy, "model": model, "data": squat, "episodes": failed.episodes, "groups": groups}
@@ -318,13 +320,13 @@ def reidentified(
 
 
 def what_is_done(cfg: DictConfig) -> str:
-    """Task and robot in words, for the page."""
+    """Task and robot as text for the page."""
     robot = f"The robot is emulated; its parameters, `{cfg.world}`, are hidden from identification and training."
     return f"{TOLD[chosen('task')]}. {robot if chosen('source') == 'emulated' else 'The robot is real.'}"
 
 
 def squat_fit(folder: Path) -> dict[str, Prediction]:
-    """Errors of the identified models on the squat, with DTE and without it if both were requested."""
+    """Errors of the identified models on the squat, with and without DTE if both were requested."""
     models = {"identified": folder / "identify" / "model.yaml"}
     without = folder / "identify" / "model_without_dte.yaml"
     if without.is_file():

@@ -1,4 +1,4 @@
-"""Stages: commands that run one after another, each once."""
+"""Stages: commands that run in sequence, each once."""
 
 import fcntl
 import hashlib
@@ -23,29 +23,29 @@ from op3.common.writing import write_text
 from op3.deploy.exit_codes import Stop
 
 DONE = "done"
-"""File in a stage's folder that marks it as finished, with its duration."""
+"""File that marks a stage as finished and contains its duration."""
 
 ASKED = "stage.yaml"
-"""File in a stage's folder with the command and its arguments."""
+"""File with the command of a stage and its arguments."""
 
 OUTPUT = "stage.log"
-"""File in a stage's folder with what its command printed."""
+"""File with the output of a stage's command."""
 
 CHECKPOINT = "checkpoint.pt"
-"""File from which a training can resume."""
+"""Checkpoint from which a training can resume."""
 
 
 def used_seconds() -> float:
-    """Processor time of this process and of all that it has started and waited for [s]."""
+    """Processor time of this process and its finished child processes [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + used.ru_utime + used.ru_stime
 
 
 class StageOutput(io.TextIOBase):
-    """Standard output of a stage, written to a file; lines with the time left are also shown from time to time.
+    """Writes the standard output of a stage to a file and sometimes prints a line with the remaining time.
 
     Args:
-        name: of the stage.
+        name: name of the stage.
         file: receives the output.
     """
 
@@ -53,7 +53,7 @@ class StageOutput(io.TextIOBase):
         self._name, self._file, self._line, self._shown = name, file, "", time.monotonic()
 
     def write(self, text: str) -> int:
-        """Take text."""
+        """Write text to the file."""
         self._file.write(text)
         *lines, self._line = (self._line + text).split("\n")
         now = time.monotonic()
@@ -63,20 +63,20 @@ class StageOutput(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Bring it to the disk."""
+        """Flush the file."""
         self._file.flush()
 
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Lock out other processes while this one works, also those of other machines on the same disk."""
+    """Lock out other processes, including those on other machines with the same disk."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def _is_work(path: Path) -> bool:
-    """Whether a file or folder of a stage is output, not one of those that every start writes."""
+    """Whether a stage produced this file or folder; files that every start writes do not count."""
     return path.name not in (ASKED, ".hydra") and path.suffix != ".log"
 
 
@@ -84,9 +84,9 @@ class Stages:
     """Runs commands one after another, each once.
 
     Args:
-        folder: of the whole run; each stage gets a folder in it.
-        shared: folder of stages by their arguments, which runs share: the first run that needs a stage executes it, and
-            the folder of each run links to it. None: every run executes all of its stages.
+        folder: folder of the whole run; each stage has a subfolder.
+        shared: folder of stages that several runs share. The first run that needs a stage executes it, and other runs
+            with the same arguments link to it. None: every run executes all of its stages.
     """
 
     def __init__(self, folder: Path, shared: Path | None = None):
@@ -98,17 +98,17 @@ class Stages:
         """Processor time of each stage, summed over processors [s]."""
 
     def run(self, name: str, command: Callable[..., CommandResult], **arguments: Any) -> Path:
-        """Call one command, unless that has been done before; returns its folder.
+        """Run one command unless it has already finished; return its folder.
 
         An interrupted training continues from its checkpoint; other commands resume automatically.
 
         Args:
-            name: of the stage.
-            command: takes `folder` and the other arguments.
-            arguments: of the command.
+            name: name of the stage.
+            command: function that takes `folder` and the arguments.
+            arguments: arguments of the command.
 
         Raises:
-            ValueError: if it fails, or was started with other arguments.
+            ValueError: if the command fails, or was started with other arguments.
         """
         arguments = {key: self._real(value) for key, value in arguments.items() if value is not None}
         asked = {"command": command.__name__, **{key: _as_data(value) for key, value in arguments.items()}}
@@ -143,7 +143,7 @@ class Stages:
                 print(result)
         except (ValueError, FileNotFoundError) as error:
             if not any(_is_work(path) for path in place.iterdir()):
-                (place / ASKED).unlink()  # what was wrong may be corrected
+                (place / ASKED).unlink()  # a corrected command may have other arguments
             raise ValueError(f"stage {name}: {error}; run the same command to continue from this stage") from error
         except Stop as stop:
             raise Stop(stop.code, f"stage {name}: {stop}; run the same command to continue from this stage") from stop
@@ -154,12 +154,12 @@ class Stages:
         return place
 
     def _real(self, value: Any) -> Any:
-        """An argument, with a path into this run's folder replaced by the shared path."""
+        """An argument; a path into this run's folder is replaced by the shared path."""
         inside = self.shared is not None and isinstance(value, str | Path) and str(value).startswith(str(self.folder))
         return Path(value).resolve() if inside else value
 
     def _common(self, name: str, asked: Mapping[str, Any]) -> Path:
-        """The shared folder of a stage, with a link to it from this run's."""
+        """The shared folder of a stage, linked from this run's folder."""
         assert self.shared is not None
         text = json.dumps(asked, sort_keys=True).replace(str(self.shared.resolve()), "")
         place = self.shared.resolve() / f"{name.lstrip('0123456789_')}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
@@ -170,12 +170,12 @@ class Stages:
         return place
 
     def on_stand(self, name: str, motions: Sequence[str], robot: Mapping[str, Any]) -> Path:
-        """Record motions of a robot on its stand, as one stage.
+        """Record motions of a robot on a stand, as one stage.
 
         Args:
-            name: of the stage; its plan lies beside it.
-            motions: names of motions, which may repeat.
-            robot: arguments of `collect` for it.
+            name: name of the stage; its plan lies beside it.
+            motions: names of motions; a name may occur several times.
+            robot: arguments of `collect` that select the robot.
         """
         content = {"plan": [{"motion": motion, "mount": "stand"} for motion in motions]}
         plan = (self.shared or (self.folder / name).parent) / "stand_plan.yaml"

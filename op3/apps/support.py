@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from op3.rollout import Rollout
 
 ASKED = "asked.yaml"
-"""File in a run's folder with the settings that it started with; see `check_same`."""
+"""File with the initial settings of a run; see `check_same`."""
 
 
 def check_same(path: Path, asked: Mapping[str, Any]) -> None:
-    """Refuse to continue in a folder that was started with other settings: results would be mixed silently.
+    """Raise an error if the folder was started with other settings, so that results are never mixed.
 
     Args:
-        path: file of the folder in which `remember` has written the settings; nothing is refused without it.
-        asked: settings now.
+        path: file with the settings, written by `remember`; without it, any settings are accepted.
+        asked: current settings.
 
     Raises:
-        ValueError: naming what differs.
+        ValueError: names the settings that differ.
     """
     if not path.exists():
         return
@@ -55,7 +55,7 @@ def seeded_faults(node: DictConfig) -> Any:
     """Faults of an emulated robot from a config node.
 
     Raises:
-        ValueError: if they are impossible; the message says which.
+        ValueError: if a fault is impossible; the message names it.
     """
     from op3.deploy.emulator import Faults  # brings MuJoCo
 
@@ -63,7 +63,7 @@ def seeded_faults(node: DictConfig) -> Any:
 
 
 def built(node: DictConfig, **options: Any) -> Any:
-    """The object that a config node describes; its ValueError is passed on unchanged, texts for numbers are named."""
+    """The object that a config node describes. Its ValueError is raised unchanged; a text for a number is reported."""
     try:
         return instantiate(node, **options)
     except InstantiationException as error:
@@ -76,10 +76,10 @@ def built(node: DictConfig, **options: Any) -> Any:
 
 
 def library_motion(name: str, robot: str = DEFAULT) -> "Motion":
-    """A motion by its name in `conf/motion` or `conf/variants.yaml`, for this robot if the motion suits any robot.
+    """A motion by its name in `conf/motion` or `conf/variants.yaml`; general motions are adapted to this robot.
 
     Raises:
-        ValueError: if there is none of this name.
+        ValueError: if the name is unknown.
     """
     known = named_configs("motion")
     if name not in known:
@@ -91,9 +91,9 @@ def logs_where(logs: "Sequence[Rollout]", where: Mapping[str, Any] | None, field
     """The logs with these metadata; all logs if `where` is empty.
 
     Args:
-        logs: to choose from.
+        logs: all logs.
         where: values by field of the metadata.
-        field: config field of `where`, for messages.
+        field: config field that contains `where`, for messages.
     """
     from op3.rollout import Metadata
 
@@ -103,12 +103,12 @@ def logs_where(logs: "Sequence[Rollout]", where: Mapping[str, Any] | None, field
         raise ValueError(f"{field}: logs have no metadata field {unknown[0]!r}; they have {', '.join(known)}")
     chosen = [log for log in logs if all(getattr(log.metadata, k) == v for k, v in (where or {}).items())]
     if not chosen:
-        raise ValueError(f"{field}={where} matches none of the {len(logs)} logs; {field}=null takes all")
+        raise ValueError(f"{field}={where} matches none of the {len(logs)} logs; {field}=null selects all")
     return chosen
 
 
 def focus_joints(joints: Sequence[str] | None, logs: "Sequence[Rollout]") -> tuple[str, ...]:
-    """Joints whose traces count: the given ones, else those controlled joints of the robot that the logs have."""
+    """The compared joints: the given ones, or the controlled joints that the logs contain."""
     if joints is not None:
         return tuple(joints)
     controlled = logs[0].robot.controlled

@@ -44,7 +44,7 @@ from op3.train.checkpoint import load_checkpoint
 from op3.train.training import CHECKPOINT, check_unused
 
 KEPT = ("task", "algorithm", "train", "environments", "env", "environment", "initial_gain", "fixed_gain", "warm_start")
-"""Settings that the manifest of a policy keeps."""
+"""Settings stored in the manifest of a policy."""
 
 FRAME_EVERY = 2
 """Policy steps between two frames of the video."""
@@ -83,11 +83,11 @@ def train(
 
     Args:
         task: a name in ``conf/task``.
-        model: path of a ``model.yaml`` or a name in ``assets/models``; None: that of the robot's file.
-        robot: a name in ``assets/robots`` or the path of a robot file; None: that of the task.
+        model: path of a ``model.yaml`` or a name in ``assets/models``; None: the model of the robot file.
+        robot: a name in ``assets/robots`` or the path of a robot file; None: the robot of the task.
         algorithm: a name in ``conf/algorithm``.
         budget: a name in ``conf/budget``.
-        steps: number of steps of all robots together; None: that of recipe and budget.
+        steps: total number of steps of all robots; None: set by recipe and budget.
         environments: number of robots simulated in parallel.
         warm_start: folder of a policy bundle to start with.
         resume: folder of an earlier run to continue.
@@ -105,12 +105,12 @@ def train(
 
 
 def earlier(cfg: DictConfig) -> PolicyBundle | None:
-    """The policy to start with, or None."""
+    """The policy that the training starts from, or None."""
     return None if cfg.warm_start is None else PolicyBundle.load(cfg.warm_start)
 
 
 def chosen_task(cfg: DictConfig) -> Task:
-    """The task with the requested robot and gain."""
+    """The task with the requested robot and P gain."""
     if cfg.robot is not None:
         cfg.task.robot = cfg.robot
     task = instantiate(cfg.task)
@@ -120,7 +120,7 @@ def chosen_task(cfg: DictConfig) -> Task:
 
 
 def actions(cfg: DictConfig, task: Task) -> ActionMap:
-    """The meaning of actions: that of the policy to start from, if any; with `fixed_gain` they command angles only."""
+    """The action map, taken from the initial policy if there is one; with `fixed_gain` actions command angles only."""
     start = earlier(cfg)
     made = task.action_map() if start is None else start.manifest.action_map
     if cfg.fixed_gain is None:
@@ -129,7 +129,7 @@ def actions(cfg: DictConfig, task: Task) -> ActionMap:
 
 
 def environment(cfg: DictConfig, task: Task, count: int, seed: int) -> BatchedEnv:
-    """Robots at a task, as the config describes them."""
+    """The simulated robots with the task that the config describes."""
     options = {"num_threads": cfg.threads, **plain(cfg.environment)}
     made = make_env(task, cfg.model or "own", count, seed, action_map=actions(cfg, task), **options)
     assert isinstance(made, BatchedEnv)
@@ -143,7 +143,7 @@ def robots(cfg: DictConfig, task: Task) -> EnvBase:
         raise ValueError(f"env=composer simulates one robot: set environments=1, got {cfg.environments}")
     if cfg.env == "batched":
         options["num_threads"] = cfg.threads
-    if task.cycle is not None:  # a policy that walks begins anywhere in the gait
+    if task.cycle is not None:  # a walking policy starts at a random gait phase
         task = task.changed({"gait.first_phase": None})
     return make_env(task, cfg.model or "own", cfg.environments, cfg.seed, **options)
 
@@ -172,7 +172,7 @@ def describe(cfg: DictConfig, task: Task, algorithm: Algorithm, facts: Mapping[s
 
 
 def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
-    """The algorithm; its untrained policy holds the stand pose."""
+    """The algorithm with an untrained policy, which holds the stand pose."""
     try:
         device = torch.device(cfg.device)
     except (RuntimeError, TypeError):
@@ -199,8 +199,7 @@ def learner(cfg: DictConfig, task: Task, robots: EnvBase) -> Algorithm:
 
 
 def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | None:
-    """Mirror images in the robot's plane of symmetry; None if samples are not mirrored or a part has no mirror
-    image."""
+    """Mirroring of samples in the robot's plane of symmetry; None if it is off or some term has no mirror image."""
     if not cfg.algorithm.get("mirrored") or not load_robot(action_map.robot).partners:
         return None
     try:
@@ -211,11 +210,11 @@ def mirror_of(cfg: DictConfig, task: Task, action_map: ActionMap) -> Mirror | No
 
 
 def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
-    """The settings of the run to resume, with the overrides that are given now, and its choices of config groups."""
+    """Settings of the run to resume, with the new overrides, and its config groups."""
     folder, hydra_config = Path(cfg.resume), HydraConfig.get()
     if not (folder / CHECKPOINT).is_file():
         raise ValueError(
-            f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or leave it out"
+            f"resume={cfg.resume}: there is no {CHECKPOINT}; give the folder of a training, or omit resume"
         )
     begun = load_checkpoint(folder / CHECKPOINT)["config"]
     choices = begun.pop("choices")
@@ -223,7 +222,7 @@ def as_begun(cfg: DictConfig) -> tuple[DictConfig, dict[str, str]]:
     for name, value in by_name(hydra_config.overrides.task).items():
         if name in choices and name != "wandb":
             if value != choices[name]:
-                raise ValueError(f"{name}={value}: the run in {folder} has {name}={choices[name]}; leave it out")
+                raise ValueError(f"{name}={value}: the run in {folder} has {name}={choices[name]}; omit this override")
         else:
             OmegaConf.update(before, name.lstrip("+"), OmegaConf.select(cfg, name.lstrip("+")), force_add=True)
     given = [word for word in hydra_config.overrides.hydra if word != os.environ.get(CLAIMED)]
@@ -247,7 +246,7 @@ def main(cfg: DictConfig) -> Trained:
     if cfg.resume is None:
         check_unused(folder)
     recipe, recipes = choices["recipe"], named_configs("recipe")
-    if recipe not in ("null", choices["task"], *recipes):  # Hydra leaves out one that is optional
+    if recipe not in ("null", choices["task"], *recipes):  # Hydra ignores a missing optional config
         raise ValueError(f"recipe={recipe}: there is no {recipe!r} in the group recipe{nearest(recipe, recipes)}")
     task, facts = chosen_task(cfg), provenance(cfg)
     settings, curriculum = TrainSettings(**plain(cfg.train)), Curriculum(task.schedules)
@@ -279,7 +278,7 @@ def main(cfg: DictConfig) -> Trained:
             print(f"Stopped after {progress.steps:,} steps. To continue: op3 train resume={folder}")
             raise SystemExit(143)
         policy = PolicyBundle.load(folder / "policy")
-        # on other episodes than those that chose the policy
+        # episodes differ from those that selected the policy
         final, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
         files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "to continue from with resume"}
         rate, video = 1.0 / (FRAME_EVERY * judge.policy_period), folder / "episode.mp4"
@@ -311,7 +310,7 @@ def main(cfg: DictConfig) -> Trained:
 
 
 def episode(judge: BatchedEnv, policy: PolicyBundle, seed: int, steps: int) -> tuple[dict[str, float], np.ndarray]:
-    """An evaluation, and states [frame, nq] of its first robot's episode."""
+    """An evaluation, and the states [frame, nq] of the first robot's episode."""
     positions, states, step = judge.simulation.batch.bind("qpos"), [], counted()
 
     def watch(_: torch.Tensor, running: torch.Tensor) -> None:

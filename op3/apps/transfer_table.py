@@ -4,7 +4,7 @@ op3 transfers                                    # balancing: all robots, condit
 op3 transfers task=walk condition=excitation_only,reidentified,domain_randomisation
 op3 transfers world=robot_7 seed=0               # one transfer; the page shows all finished ones
 
-A multirun of op3 sim2real whose cells share stages with the same arguments. The same command continues after an
+The cells of this multirun of op3 sim2real share stages with equal arguments. The same command continues after an
 interruption, and several processes may share the folder.
 """
 

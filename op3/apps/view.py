@@ -41,7 +41,7 @@ from op3.tasks.task import POLICY_PERIOD, find_task
 
 
 def of_log(cfg: DictConfig) -> Tracks:
-    """A log, and a model's prediction of it, unless its commands depend on sensor readings."""
+    """A log and a model's prediction of it; closed-loop logs have no prediction."""
     logs = [one for log in read_logs(cfg.what, cfg.robot) for one in log.episodes()]
     if not cfg.number < len(logs):
         raise ValueError(f"number={cfg.number}: {cfg.what} has {len(logs)} logs, numbered from 0")
@@ -76,7 +76,9 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
     except FileNotFoundError:
         if cfg.model is not None:
             raise
-        print(f"{model}, on which the policy was trained, was not found; it is shown on `paper`", file=sys.stderr)
+        print(
+            f"{model}, on which the policy was trained, was not found; the policy is shown on `paper`", file=sys.stderr
+        )
         model = "paper"
     env = actor.environment(task, model, 1, cfg.seed, num_threads=1)
     watched = Watched(actor.policy, env)
@@ -87,7 +89,7 @@ def of_policy(cfg: DictConfig, path: Path) -> Tracks:
 def of_model(cfg: DictConfig) -> Tracks:
     """A squat on the floor: the commands, and the model's simulation of them."""
     if cfg.model is not None:
-        raise ValueError(f"model={cfg.model}: {cfg.what} is a model itself; leave it out")
+        raise ValueError(f"model={cfg.model}: {cfg.what} is itself a model; omit model")
     log = simulate_motion(load_model(cfg.what), squat(duration=6.0), mount="floor")
     commanded = {key: log.array(key) for key in log.channels} | {("joint", "position"): log.array("command/position")}
     return Tracks({"commanded": Rollout.from_arrays(commanded, log.metadata), "simulated": log}, scene_of(log))
@@ -102,7 +104,7 @@ def of_robot(cfg: DictConfig) -> Tracks:
 
 
 def tracks_of(cfg: DictConfig) -> Tracks:
-    """The tracks to show, by the type of the given path."""
+    """The tracks to show for the given path."""
     path = here_or_shipped(cfg.what)
     for policy in (path, path / "policy"):
         if (policy / MANIFEST).is_file():
@@ -116,7 +118,7 @@ def tracks_of(cfg: DictConfig) -> Tracks:
 
 
 def watch(cfg: DictConfig, out: Path) -> None:
-    """Show a log while it is recorded: in a window, or as a line per second and a video at the end."""
+    """Show a log while it is recorded, in a window, or as one line per second and a final video."""
     if Path(cfg.what).is_file():
         raise ValueError(f"what={cfg.what}: live=true follows the folder of a log, or of a run of op3 deploy")
     coming = stretches(Path(cfg.what), cfg.model)
@@ -128,14 +130,12 @@ def watch(cfg: DictConfig, out: Path) -> None:
         print(summary_line(tracks), flush=True)
         seen.append(tracks)
     if not seen:
-        raise ValueError(
-            f"what={cfg.what}: no recording has started there; start op3 deploy with hydra.run.dir={cfg.what}"
-        )
+        raise ValueError(f"what={cfg.what}: contains no recording; start op3 deploy with hydra.run.dir={cfg.what}")
     draw(seen, cfg, out)
 
 
 def draw(stretches: list[Tracks], cfg: DictConfig, out: Path) -> None:
-    """Write a video of all stretches."""
+    """Write a video of all tracks."""
     seconds = sum(tracks.duration for tracks in stretches) / cfg.speed
     print(f"rendering {int(seconds * RATE) + 1} frames ...", file=sys.stderr, flush=True)
     try:
@@ -153,7 +153,7 @@ INTERRUPTED = "Nothing is kept."
 
 
 def main(cfg: DictConfig) -> None:
-    """Show it, or write it."""
+    """Show the tracks, or write them to a file."""
     torch.set_num_threads(1)
     folder = output_folder()
     out = None if cfg.out is None else Path(cfg.out)

@@ -1,2 +1,1 @@
-"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets from texts,
-intervals."""
+"""Common code of all subpackages: checked settings, names of shipped files, removal of secrets, intervals."""

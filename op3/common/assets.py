@@ -1,6 +1,6 @@
 """Paths of the package's data files, in a checkout and in an installed wheel; names of robots and models.
 
-Imports nothing heavy: wrong names on a command line are refused here before anything else is imported.
+It has no slow imports, so that wrong names on a command line are reported before anything else is imported.
 """
 
 import difflib
@@ -12,7 +12,7 @@ from op3.common.settings import nearest, read_yaml
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _CANDIDATES = (_PACKAGE / "_files" / "assets", _PACKAGE.parent / "assets")
-"""An installed wheel carries `op3/_files`; a checkout has `assets/` beside `op3/`."""
+"""An installed wheel contains `op3/_files`; a checkout has `assets/` beside `op3/`."""
 
 
 def asset_path(name: str) -> Path:
@@ -22,7 +22,7 @@ def asset_path(name: str) -> Path:
         name: path relative to `assets/`, such as "op3/op3.xml" or "servos".
 
     Raises:
-        FileNotFoundError: naming the folders that were searched.
+        FileNotFoundError: if it does not exist; the message names the searched folders.
     """
     for folder in _CANDIDATES:
         if (folder / name).exists():
@@ -32,7 +32,7 @@ def asset_path(name: str) -> Path:
 
 
 def here_or_shipped(path: str | Path) -> Path:
-    """The path, or that in the package if it begins with ``assets/`` and does not exist below the working folder."""
+    """The path, or the package's file if the path begins with ``assets/`` and does not exist in the working folder."""
     if not isinstance(path, str | Path):
         raise ValueError(f"a path must be text, got {path!r}")
     path = Path(path)
@@ -48,7 +48,7 @@ def conf_folder() -> Path:
 
 
 def config_file(config: str) -> Path:
-    """The file of a config, named as from ``conf/``."""
+    """The file of a config, named relative to ``conf/``."""
     return conf_folder() / f"{config}.yaml"
 
 
@@ -80,16 +80,16 @@ def robot_file(name: str | Path) -> Path:
     """The file of a robot, by its name in ``assets/robots`` or by its path.
 
     Raises:
-        ValueError: if there is neither.
+        ValueError: if neither exists.
     """
     known = robot_files()
     path = known.get(str(name)) or Path(name)
     if path.suffix not in (".yaml", ".yml"):
-        raise ValueError(f"there is no robot {str(name)!r}{nearest(str(name), known)}, or give the path of a .yaml")
+        raise ValueError(f"there is no robot {str(name)!r}{nearest(str(name), known)}; or give the path of a .yaml")
     if not path.is_file():
         beside = difflib.get_close_matches(str(path), map(str, path.parent.glob("*.yaml")), n=1)
         close = f"; the nearest is {beside[0]!r}" if beside else nearest(path.stem, known)
-        raise ValueError(f"there is no robot file {path}{close}, or correct the path")
+        raise ValueError(f"there is no robot file {path}{close}; correct the path")
     return path
 
 
@@ -105,10 +105,10 @@ def model_names() -> tuple[str, ...]:
 
 
 def find_model(name_or_path: str | Path) -> Path:
-    """The file of a model: a path, a folder that holds a ``model.yaml``, or a name from `model_names`.
+    """The file of a model: a path, a folder that contains a ``model.yaml``, or a name from `model_names`.
 
     Raises:
-        FileNotFoundError: if there is none of these.
+        FileNotFoundError: if none of these exists.
     """
     path = Path(name_or_path)
     if path.is_file():

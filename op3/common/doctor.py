@@ -1,4 +1,4 @@
-"""Checks of what op3 needs on a machine, with remedies."""
+"""Checks of a machine's requirements for op3, with remedies."""
 
 import importlib.metadata
 import os
@@ -15,26 +15,26 @@ from packaging.utils import canonicalize_name
 
 GOOD, POOR, BAD = "ok", "note", "missing"
 LATENCY = 1
-"""Milliseconds that a USB adapter may hold back bytes: more makes a tick of 8 ms take 15 to 20."""
+"""Largest latency timer of a USB adapter [ms]; with more, a tick of 8 ms takes 15 to 20 ms."""
 
 ADAPTERS = Path("/sys/bus/usb-serial/devices")
 """Folder in which the kernel lists serial adapters."""
 
 Line = tuple[str, str, str]
-"""State, topic, and finding with its fix."""
+"""State, topic, and result with its remedy."""
 
 
 def report() -> str:
-    """All checks, a line each."""
+    """All checks, one line each."""
     lines = [line for check in (python, processors, packages, rendering, disk, adapters) for line in check()]
     return "\n".join(f"{verdict:8s}{topic:12s}{text}" for verdict, topic, text in lines)
 
 
 def python() -> Iterator[Line]:
-    """Its version, against what the package says it runs on."""
+    """The Python version, compared with the package's requirement."""
     wanted = importlib.metadata.metadata("op3").get("Requires-Python", "")
     fits = SpecifierSet(wanted).contains(platform.python_version())
-    text = f"{platform.python_version()} on {platform.platform()}; op3 asks for {wanted or 'any'}"
+    text = f"{platform.python_version()} on {platform.platform()}; op3 requires {wanted or 'any'}"
     yield GOOD if fits else BAD, "Python", text
 
 
@@ -42,12 +42,12 @@ def processors() -> Iterator[Line]:
     """Cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    note = "" if cores >= 2 else ": training would collect and learn in turn; use two"
+    note = "" if cores >= 2 else ": training cannot collect and learn in parallel; use two"
     yield GOOD if cores >= 2 else POOR, "cores", f"{cores}, {memory:.0f} GB of memory{note}"
 
 
 def packages() -> Iterator[Line]:
-    """Those that op3 cannot run without, and the extras."""
+    """Required packages and extras."""
     extras = ["", *sorted({*(importlib.metadata.metadata("op3").get_all("Provides-Extra") or [])} - {"dev"})]
     there = {canonicalize_name(one.name) for one in importlib.metadata.distributions()}
     for requirement in map(Requirement, importlib.metadata.requires("op3") or []):

@@ -1,4 +1,4 @@
-"""Packages that import a module when one of its names is first used, so that a command loads no more than it needs."""
+"""Packages that import a module when one of its names is first used, so that a command only loads what it needs."""
 
 import ast
 import importlib
@@ -9,10 +9,10 @@ from typing import Any
 
 
 def lazy(package: str) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a package whose imports stand under ``if TYPE_CHECKING``.
+    """The ``__getattr__`` of a package whose imports are under ``if TYPE_CHECKING``.
 
     Args:
-        package: its ``__name__``.
+        package: ``__name__`` of the package.
     """
     module = sys.modules[package]
     assert module.__file__ is not None

@@ -15,12 +15,12 @@ SECRET = "OP3_SECRET_"
 """Prefix of the environment variables that hold passwords of a command line, see `hide`."""
 
 CLAIMED = "OP3_CLAIMED_FOLDER"
-"""Environment variable that holds the setting of a run's folder which the user did not give."""
+"""Environment variable with the run folder's setting if the user did not give it."""
 
 _LOGIN = re.compile(r"(?P<before>[A-Za-z][A-Za-z0-9+.-]*://[^\s:/@]*:)(?P<secret>[^\s'\"]+)(?=@)")
 _NAMED = re.compile(
     r"(?P<before>(?:password|passwd|passphrase|\bpwd?|(?:api|access|wandb)[-_]?key|bearer"
-    r"|(?:(?<!\w )|(?=\w+=))(?:token|secret))"  # "unexpected token: x" is a sentence, and no name of a value
+    r"|(?:(?<!\w )|(?=\w+=))(?:token|secret))"  # "unexpected token: x" is a sentence, not the name of a value
     r"(?!\W{0,2}\$\{)(?:\W{0,2}[=:]\W{0,2}|(?<=bearer) +))(?P<secret>[^\s'\",;&}*$]{3,})",
     re.IGNORECASE,
 )
@@ -28,9 +28,9 @@ _PATH = re.compile(r"(?:(?<![\w./:~<-])|(?<=sqlite:///))/(?:[^\s/'\",;:\[\](){}<
 
 
 def scrub(value: Any) -> Any:
-    """The same without secrets and paths of this machine: texts, and those in mappings and lists.
+    """Values without secrets and paths of this machine: texts, including those in mappings and lists.
 
-    A path below the working folder becomes relative, any other keeps its last two parts.
+    A path below the working folder becomes relative; any other path is reduced to its last two parts.
     """
     if isinstance(value, Mapping):
         return {name: scrub(item) for name, item in value.items()}
@@ -65,7 +65,7 @@ def _short(path: str) -> str:
 
 
 def hide(argument: str) -> str:
-    """A command-line setting whose passwords are taken from the environment, where this puts them."""
+    """A command-line setting with its passwords moved to environment variables."""
 
     def move(found: re.Match[str]) -> str:
         if found["secret"].startswith(("${", "***")):
@@ -78,7 +78,7 @@ def hide(argument: str) -> str:
 
 
 def scrub_folder(folder: Path) -> None:
-    """Clean the texts that a library has written into a folder."""
+    """Remove secrets from the text files of a folder, for example from a library's output."""
     for file in (*folder.glob("*.yaml"), *folder.glob("*.log")):
         text = file.read_text(encoding="utf-8", errors="replace")
         if (clean := scrub(text)) != text:

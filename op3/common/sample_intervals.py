@@ -9,11 +9,11 @@ from scipy import stats
 from scipy.special import ndtri, stdtrit
 
 RESAMPLES = 4000
-"""Draws of clusters per interval."""
+"""Number of draws of clusters per interval."""
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float]:
-    """Student's 95 % interval of the mean of two values or more."""
+    """Student's 95 % interval of the mean of at least two values."""
     count, middle, spread = len(values), float(np.mean(values)), float(np.std(values, ddof=1))
     half = float(stdtrit(count - 1, 0.975)) * spread / count**0.5
     return middle - half, middle + half
@@ -22,7 +22,7 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float]:
 def with_interval(values: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
     """Mean over the first axis and Student's 95 % interval on a new last axis, ``[..., 3]``.
 
-    Values that are not finite are left out; with fewer than two the interval is NaN.
+    Non-finite values are omitted; with fewer than two values the interval is NaN.
     """
     array = np.asarray(values, dtype=float)
     flat = array.reshape(len(array), -1) if len(array) else np.zeros((0, 1))
@@ -37,7 +37,7 @@ def with_interval(values: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
 
 
 def wilson_interval(successes: float, trials: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share, which stays within 0 and 1 and is no point at either (Wilson 1927)."""
+    """Wilson's 95 % interval of a share (Wilson 1927), within 0 and 1 and of positive width even there."""
     z = float(ndtri(0.975))
     share, weight = successes / trials, 1 + z**2 / trials
     middle = (share + z**2 / (2 * trials)) / weight
@@ -48,13 +48,14 @@ def wilson_interval(successes: float, trials: int) -> tuple[float, float]:
 def bootstrap_interval(
     values: NDArray[np.float64], weights: NDArray[np.float64] | None = None, *, seed: int = 0
 ) -> tuple[float, float] | tuple[None, None]:
-    """90 % interval of a (weighted) mean over clusters, from clusters drawn with replacement.
+    """90 % interval of a (weighted) mean over clusters, from a bootstrap over clusters.
 
     Percentiles of the bootstrap are too narrow for few clusters; the expanded percentile interval (Hesterberg, The
-    American Statistician 69, 2015) takes those at which a normal mean of so many values would be right.
+    American Statistician 69, 2015) uses the percentiles that are correct for the mean of the same number of normal
+    values.
 
     Returns:
-        Low and high; None where there is only one cluster.
+        Low and high; None with only one cluster.
     """
     count = len(values)
     if count < 2:
@@ -73,7 +74,7 @@ def bootstrap_interval(
 
 
 def mean_and_deviation(values: Sequence[float | None]) -> dict[str, float | int | None] | None:
-    """Mean and standard deviation; None where no run has the number, no deviation of a single one."""
+    """Mean and standard deviation; None if no run has the number, and no deviation for a single run."""
     known = [float(value) for value in values if value is not None]
     if not known:
         return None

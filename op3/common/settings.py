@@ -38,7 +38,7 @@ def _plain(value: Any) -> Any:
 
 
 def _unfractioned(value: Any) -> Any:
-    """A float without a fraction, as YAML reads 1e6, as the whole number it is."""
+    """Converts a float without a fraction, such as YAML's 1e6, to an integer."""
     value = _plain(value)
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
@@ -70,10 +70,10 @@ _Item = TypeVar("_Item")
 _Group = TypeVar("_Group")
 
 Listed = Annotated[tuple[_Item, ...], BeforeValidator(_plain)]
-"""Several of one type: ``Listed[Number]``; a list becomes a tuple."""
+"""Several values of one type: ``Listed[Number]``; a list becomes a tuple."""
 
 Some = Annotated[tuple[_Item, ...], BeforeValidator(_plain), Field(min_length=1)]
-"""The same, at least one."""
+"""One or more values of one type."""
 
 Named = Annotated[Mapping[str, _Item], BeforeValidator(_mapping), AfterValidator(dict)]
 """Values by name: ``Named[Positive]``."""
@@ -107,18 +107,18 @@ _WANTED = {
     "invalid_key": "under a name",
     "string_pattern_mismatch": "text of the form {pattern}",
 }
-"""Pydantic's kinds of error in words that follow "must be"."""
+"""Pydantic's kinds of error, as text that follows "must be"."""
 
 
 @dataclass_transform(frozen_default=True)
 def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Group]], type[_Group]]:
     """Make a class a frozen dataclass whose fields are checked.
 
-    Types are strict: true is not a number and "3" is not 3, but a whole number is accepted as a number.
+    Types are strict: true is not a number and "3" is not 3, but an integer is accepted as a number.
 
     Args:
         what: subject of the settings, which precedes the field in messages; empty if the field is clear without it.
-        raises: makes the error of one field; None: a ValueError.
+        raises: function that creates the error of one field; None: a ValueError.
     """
     before = f"{what}: " if what else ""
 
@@ -137,7 +137,7 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
         def refused(error: pydantic.ValidationError) -> Exception:
             place, given, wanted, problem = first_fault(error, made)
             field = ".".join(map(str, place))
-            if isinstance(problem, Exception):  # a check of ours, which speaks for itself
+            if isinstance(problem, Exception):  # op3's own check, whose message is complete
                 return problem
             return raises(field, wanted, given) if wanted and raises else ValueError(f"{before}{field} {problem}")
 
@@ -149,7 +149,7 @@ def settings(what: str = "", raises: Raise | None = None) -> Callable[[type[_Gro
 
 class Fault(NamedTuple):
     """Place of an error, the given value, the requirement (empty if the value is not the problem), and a text that
-    follows the field's name, or the error of a check of ours."""
+    follows the field's name, or the error of op3's own check."""
 
     place: tuple[str | int, ...]
     given: Any
@@ -158,7 +158,7 @@ class Fault(NamedTuple):
 
 
 def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
-    """The first error that pydantic found in a dataclass or a record of this kind."""
+    """The first error that pydantic reports in a dataclass or record of this kind."""
     detail: Any = max(error.errors(), key=lambda found: found["type"] == "extra_forbidden")  # explains what is missing
     place, given, name, context = tuple(detail["loc"]), detail["input"], detail["type"], detail.get("ctx", {})
     place = tuple("/".join(step) if isinstance(step, tuple) else step for step in place)  # a key of several parts
@@ -169,13 +169,13 @@ def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
     if name in ("unexpected_keyword_argument", "extra_forbidden"):
         return Fault(place, given, "", f"is not a field{nearest(place[-1], _fields(kind, place))}")
     if name in ("missing", "missing_argument"):
-        return Fault(place, given, "", "is missing: give it")
+        return Fault(place, given, "", "is missing; add it")
     wanted = _WANTED[name].format(**context) if name in _WANTED else f"valid ({detail['msg']})"
     return Fault(place, given, wanted, f"must be {wanted}, got {shown(given)}")
 
 
 def _fields(kind: Any, place: Sequence[str | int]) -> list[str]:
-    """Fields of the record that an entry stands in."""
+    """Fields of the record that contains an entry."""
     for step in place[:-1]:
         known = getattr(kind, "__pydantic_fields__", {})
         parts = _parts(known[step].annotation if step in known else kind)
@@ -195,7 +195,7 @@ def shown(value: Any) -> str:
 
 
 def nearest(name: object, known: Iterable[str]) -> str:
-    """Hint after an unknown name: the nearest valid one, else all of them."""
+    """Hint after an unknown name: the nearest valid name, otherwise all valid names."""
     known = list(known)
     close = difflib.get_close_matches(str(name), known, n=1)
     return f"; the nearest is {close[0]!r}" if close else f"; there are {', '.join(known) or 'none'}"
@@ -219,7 +219,7 @@ def mistake(error: Exception, caller: str) -> str:
     """An error in a function that a user wrote: its type, file and line, its message, and the nearest name.
 
     Args:
-        caller: file that called the function; an error raised there has no line of the user's.
+        caller: file that called the function; an error raised there has no line in the user's code.
     """
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = "" if frame.filename == caller else f" in {Path(frame.filename).name}, line {frame.lineno}"
@@ -247,7 +247,8 @@ _MOST_ALIASES = 20
 class _Loader(yaml.SafeLoader):
     """YAML 1.2: 1e-3 is a number, `on` a name, and duplicate keys are refused.
 
-    PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; of two equal keys the last wins.
+    PyYAML reads YAML 1.1, in which 1e-3 is a text, `no` is false and 1:30 is ninety; of two equal keys it uses the
+    last.
     """
 
     yaml_implicit_resolvers: dict[Any, Any] = {}
@@ -289,13 +290,13 @@ def read_yaml(path: str | Path, raises: Callable[..., Exception] = _yaml_error) 
     """The mapping in a YAML file.
 
     Args:
-        path: of the file.
-        raises: makes the error of a problem, its remedy, and where it is (`source`, `column`).
+        path: path of the file.
+        raises: function that creates the error from problem, remedy and location (`source`, `column`).
 
     Raises:
-        FileNotFoundError: if there is none.
-        ValueError: if it is not UTF-8 text, no YAML (with the line), or no mapping of names to values; or what `raises`
-            makes of it.
+        FileNotFoundError: if the file does not exist.
+        ValueError: if it is not UTF-8 text, not YAML (with the line) or not a mapping of names to values; or the error
+            from `raises`.
     """
     path = Path(path)
     if not path.is_file():
@@ -310,7 +311,7 @@ def read_yaml(path: str | Path, raises: Callable[..., Exception] = _yaml_error) 
 
 
 def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] = _yaml_error) -> dict[str, Any]:
-    """The mapping that a YAML text holds; errors as those of `read_yaml`, with `source` named."""
+    """The mapping in a YAML text; errors are as in `read_yaml` and name `source`."""
     try:
         values = yaml.load(text, Loader=_Loader)
     except _Twice as error:
@@ -321,12 +322,12 @@ def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] =
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise raises(f"line {line} is not valid YAML ({error.problem})", "correct it", source=source) from None
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError, AttributeError, TypeError):
-        # PyYAML lets errors of its value constructors through unmarked
+        # PyYAML does not wrap errors of its value constructors
         remedy = "write plain `name: value` lines with valid numbers"
         raise raises("the text is not valid YAML", remedy, source=source) from None
     if not isinstance(values, dict):
         kind = "empty" if values is None else f"a {type(values).__name__}"
-        raise raises(f"the file is {kind} and not a mapping", "write one `name: value` per line", source=source)
+        raise raises(f"the file is {kind}, not a mapping", "write one `name: value` per line", source=source)
     for name in values:
         if not isinstance(name, str):
             raise raises(f"{name!r} is not a name", "write one `name: value` per line", source=source)

@@ -1,4 +1,4 @@
-"""How runs are logged to Weights & Biases."""
+"""Settings for logging runs to Weights & Biases."""
 
 import os
 from collections.abc import Mapping
@@ -15,10 +15,10 @@ class WandbSettings:
 
     Attributes:
         mode: ``offline`` writes to the run's folder, ``online`` uploads, ``disabled`` does neither.
-        project: that the run belongs to.
-        entity: team or user; None: that of the login.
-        tags: of the run.
-        name: of the run; None: the task or command and the seed.
+        project: project of the run.
+        entity: team or user; None: the logged-in user's.
+        tags: tags of the run.
+        name: name of the run; None: the task or command and the seed.
     """
 
     mode: Mode = "offline"
@@ -32,7 +32,7 @@ class WandbSettings:
         """From a config's field: a mapping or, in older runs, only the mode; WANDB_MODE takes precedence.
 
         Raises:
-            ValueError: naming the field that cannot be.
+            ValueError: if a field is invalid; the message names it.
         """
         values = dict(given) if isinstance(given, Mapping) else {"mode": given}
         if (mode := os.environ.get("WANDB_MODE")) in get_args(Mode):

@@ -21,7 +21,7 @@ def _temporary(path: Path) -> Path:
 
 
 def write_file(path: Path, fill: Callable[[Path], object]) -> None:
-    """Write a file by `fill(temporary path)`, so that a reader finds the old one or the new, never a part."""
+    """Write a file with `fill(temporary path)`, so that readers find the old or the new file, never a part."""
     temporary = _temporary(path)
     try:
         fill(temporary)
@@ -38,14 +38,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = False) -> None:
-    """Make a folder by `fill(temporary folder)` and put it in place by renaming.
+    """Create a folder with `fill(temporary folder)` and rename it to its path.
 
     Args:
-        path: of the folder to be.
-        fill: writes the contents into the empty folder it is given.
-        overwrite: whether a folder already there is replaced.
+        path: path of the new folder.
+        fill: function that writes the contents into an empty folder.
+        overwrite: whether to replace an existing folder.
     """
-    there = FileExistsError(f"{path}: it exists already; choose another folder or pass overwrite=True")
+    there = FileExistsError(f"{path}: it already exists; choose another folder or pass overwrite=True")
     if path.exists() and not overwrite:
         raise there
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,1 +1,1 @@
-"""Compliance of a robot under a policy, measured on its joints, landings, pushes and pulls."""
+"""Compliance of a robot under a policy, measured from its joints, landings, pushes and guidance by hand."""

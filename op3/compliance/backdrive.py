@@ -1,4 +1,4 @@
-"""Back-drivability: how joints yield to a slowly growing torque at states of the gait, through the whole servo law."""
+"""Back-drivability: response of joints to a slowly growing torque at gait states, with the whole servo law."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from op3.sim import BatchSimulation
 Array = NDArray[np.float64]
 
 SETTLE = 0.6
-"""Time for which commands act before the torque begins to grow [s]."""
+"""Time for which commands act before the torque ramp begins [s]."""
 
 RATE = 0.5
-"""Growth of the torque [N m/s]."""
+"""Slope of the torque ramp [N m/s]."""
 
 MOST = 2.0
 """Torque at which the ramp ends [N m]; half of a servo's stall torque."""
 
 MOVED = 3 * POSITION_UNIT
-"""Displacement that counts as breaking away [rad]: three counts of the encoder."""
+"""Displacement that counts as breaking away [rad]: three encoder counts."""
 
 FITTED = 0.1
 """Displacement up to which the slope is fitted [rad]."""
@@ -35,11 +35,11 @@ FITTED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class BackDrive:
-    """Joints that are turned at states of the gait; arrays ``[state, joint, direction]``.
+    """Back-drive results at states of the gait; arrays ``[state, joint, direction]``.
 
     Attributes:
-        break_away: torque at which the joint moves [N m]; NaN where it never does.
-        slope: further torque per further angle [N m/rad]; NaN where the joint hardly moves.
+        break_away: torque at which the joint starts to move [N m]; NaN if it never does.
+        slope: additional torque per additional angle [N m/rad]; NaN if the joint hardly moves.
     """
 
     break_away: Array
@@ -50,11 +50,11 @@ class BackDrive:
 def back_drive(
     model: RobotModel, robot: Robot, position: Array, commands: Mapping[str, Array], num_threads: int = 1
 ) -> BackDrive:
-    """Hold the trunk, freeze the commands, and turn one controlled joint after the other, both ways.
+    """Hold the trunk, freeze the commands, and turn the controlled joints one after the other in both directions.
 
     Args:
         position: joint angles of the states, ``[state, joint]`` in rad.
-        commands: in force there, by the names of `BatchSimulation.command`, ``[state, joint]``.
+        commands: commands at these states, by the names in `BatchSimulation.command`, ``[state, joint]``.
     """
     setup = Setup.of_mount("stand", robot=robot)
     turned = robot.indices(robot.controlled)
@@ -87,9 +87,9 @@ def back_drive(
 
 
 def _twister(simulation: BatchSimulation, joint: NDArray[np.int64]) -> Callable[[Array], None]:
-    """Torques [N m] between the two links of a joint ``[sim]`` of each robot, in force until the next call.
+    """Apply torques [N m] between the two links of a joint ``[sim]`` of each robot until the next call.
 
-    They act on the links and not in the servo, so that the servo law feels them as the load of its output.
+    The torques act on the links and not in the servo, so that they load the servo's output.
     """
     model, batch, everyone = simulation.batch.model, simulation.batch, np.arange(simulation.num_sims)
     child = simulation.ports.body[joint]

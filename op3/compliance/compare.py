@@ -18,9 +18,9 @@ class Difference:
     """The first policy minus another one.
 
     Attributes:
-        landing: of peaks at matched landings.
-        bricks: of the share of episodes passed on all grounds but the first; None where there is no other ground.
-        push: of the largest push survived, mean over the directions [N s].
+        landing: differences of peaks at matched landings.
+        bricks: difference of the share of successful episodes on all grounds except the first; None with one ground.
+        push: difference of the largest survived push, mean over directions [N s].
     """
 
     landing: Comparison
@@ -29,7 +29,7 @@ class Difference:
 
     @property
     def better(self) -> list[str]:
-        """In what the first policy is better, with an interval that excludes no difference."""
+        """Measures in which the first policy is better, with an interval that excludes zero."""
         found = []
         if self.landing.force is not None and self.landing.force[2] < 0:
             found.append("softer landings")
@@ -41,14 +41,14 @@ class Difference:
 
 
 def difference(first: Measured, other: Measured, their_landings: Landings | None = None) -> Difference:
-    """The first policy beside another, of which more landings may be known than from its own episodes."""
+    """The first policy compared with another, which may have landings from additional episodes."""
     landing = compare_landings(first.landings, their_landings or other.landings)
     uneven = [list(measured.passed.values())[1:] for measured in (first, other)]
     return Difference(landing, _of_shares(*uneven), _of_pushes(first, other))
 
 
 def _of_shares(first: list[Passed], other: list[Passed]) -> Triple | None:
-    """Difference of two shares with the interval made of Wilson's (Newcombe 1998, method 10)."""
+    """Difference of two shares, with an interval derived from Wilson's (Newcombe 1998, method 10)."""
     if not first:
         return None
     ours, theirs = ((sum(p.successes for p in each), sum(p.episodes for p in each)) for each in (first, other))

@@ -33,26 +33,26 @@ from op3.tasks.task import Task, find_task
 Array = NDArray[np.float64]
 
 FAMILY = tuple((step, height) for step in (0.03, 0.045, 0.06) for height in (0.02, 0.04, 0.06))
-"""Steps and foot heights [m] of the stiff walks that landings are compared with."""
+"""Step lengths and foot heights [m] of the stiff walks with which landings are compared."""
 
 MINUTE = 60.0
-"""Duration of standing [s]; the losses of its halves show whether it may be extrapolated to an hour."""
+"""Duration of standing [s]; equal losses in both halves justify extrapolation to an hour."""
 
 STANDING = 4
-"""Robots that stand."""
+"""Number of standing robots."""
 
 
 @settings("sizes")
 class Sizes:
-    """Number of episodes and states that are measured.
+    """Numbers of measured episodes and states.
 
     Attributes:
-        episodes: of walking on each ground.
-        push_rungs: impulses of the ladder.
-        push_episodes: on each rung, in each of eight directions.
-        push_most: impulse up to which the ladder reaches [N s].
-        lead_episodes: for each way of pulling.
-        states: of the gait at which joints are turned.
+        episodes: number of episodes of walking on each ground.
+        push_rungs: number of impulses in the ladder.
+        push_episodes: number of episodes on each rung in each of eight directions.
+        push_most: largest impulse of the ladder [N s].
+        lead_episodes: number of episodes for each kind of pull.
+        states: number of states of the gait at which joints are turned.
     """
 
     episodes: Annotated[Count, Field(ge=2)] = 50
@@ -68,13 +68,13 @@ class Measured:
     """Results of one policy.
 
     Attributes:
-        passed: by ground.
-        landings: on the flat floor.
-        survival: of pushes.
-        led: by way of pulling; empty where it was not asked for.
-        energy: of walking.
-        back_drive: at states of its gait.
-        gains: over its gait; None for servos in position mode.
+        passed: successful episodes by ground.
+        landings: landings on the flat floor.
+        survival: survival of pushes.
+        led: displacements by kind of pull; empty if not requested.
+        energy: energy of walking.
+        back_drive: back-drivability at states of the gait.
+        gains: gains over the gait; None for servos in position mode.
     """
 
     label: str
@@ -88,10 +88,10 @@ class Measured:
 
 
 def contestants(names: Sequence[str], task: Task, fixed_gains: Sequence[float], gain_scale: float = 1.0) -> list[Actor]:
-    """Those to be measured: bundles and baselines by name, and the first one's targets with gains that are fixed.
+    """The policies to measure: bundles and baselines by name, and the first policy's targets with fixed gains.
 
     Raises:
-        ValueError: if a name comes twice, or a policy does not fit the task or the robot.
+        ValueError: if a name occurs twice, or a policy does not fit the task or the robot.
     """
     for name in names:
         made = PolicyBundle.load(name).manifest.action_map.robot if Path(name).is_dir() else task.robot
@@ -115,9 +115,9 @@ class Study:
     """Measures policies that walk.
 
     Args:
-        grounds: names of tasks in which walking is counted; the first one is looked at in all detail.
-        seed: of the episodes, the same for all policies.
-        gain_scale: factor on every gain that is commanded.
+        grounds: names of tasks on which walking is evaluated; the first is analysed in detail.
+        seed: seed of the episodes, the same for all policies.
+        gain_scale: factor on every commanded gain.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Study:
                 raise ValueError(f"grounds: task {task.name} has no gait; name tasks of walking")
 
     def measure(self, actor: Actor, led: bool = True) -> Measured:
-        """Everything about one policy."""
+        """Measure everything for one policy."""
         sizes, known = self.sizes, {"seed": self.seed, **self._options}
         ladder = {"most": sizes.push_most, "rungs": sizes.push_rungs, "episodes": sizes.push_episodes}
         print(f"{actor.label}: {self.task.name}", flush=True)
@@ -162,7 +162,7 @@ class Study:
         )
 
     def stand(self, name: str) -> Energy:
-        """Energy of a minute of standing on a level board, to be extrapolated to an hour.
+        """Energy of standing on a level board for a minute, for extrapolation to an hour.
 
         Args:
             name: folder of a bundle for balancing, or hold.
@@ -175,14 +175,14 @@ class Study:
         return measure_energy(logs, self.model, env.mdp.robot, robot_mass(env), travels=False)
 
     def stiff_landings(self) -> Landings:
-        """Landings of stiff walks with steps and foot heights of a whole family, each in as many episodes."""
+        """Landings of stiff walks with all step lengths and foot heights, with equal numbers of episodes."""
         print("stiff walks: landings", flush=True)
         gaits = [SinusoidalGait(step=step, foot_height=height) for step, height in FAMILY]
         actor = Actor("stiff walks", StiffFamily(gaits), self.task.action_map())
         return self._watched(actor, len(FAMILY) * max(1, round(self.sizes.episodes / len(FAMILY))))[1]
 
     def _watched(self, actor: Actor, episodes: int) -> tuple[list[Rollout], Landings, Traces, float]:
-        """Episodes on the first ground, seen every millisecond: logs, landings, traces, and the robot's mass [kg]."""
+        """Episodes on the first ground, sampled every millisecond: logs, landings, traces, mass [kg]."""
         env = actor.environment(self.task, self.model, episodes, self.seed, **self._options)
         watch = StepWatch(env)
         with watch.watching():
@@ -191,7 +191,7 @@ class Study:
         return logs, find_landings(traces, np.array([log.rows * TICK for log in logs])), traces, robot_mass(env)
 
     def _back_drive(self, actor: Actor, logs: Sequence[Rollout]) -> BackDrive:
-        """At states spread over a cycle of the gait, of the episodes that lasted longest."""
+        """Back-drivability at states spread over a gait cycle, from the longest episodes."""
         assert self.task.cycle is not None
         longest, count = sorted(logs, key=lambda log: -log.rows), self.sizes.states
         rows = np.round((SKIPPED + self.task.cycle * np.arange(count) / count) / CONTROL_PERIOD).astype(int)

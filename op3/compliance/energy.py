@@ -20,13 +20,13 @@ HOUR = 3600.0
 """[s]."""
 
 SETTLED = 2.0
-"""Time at the beginning of an episode that does not count [s]."""
+"""Time omitted at the beginning of an episode [s]."""
 
 AMBIENT = 25.0
 """[C]."""
 
 WARMING = 240.0
-"""Time constant with which a servo warms up [s], estimated from its size and its 82 g; no data sheet states it.
+"""Thermal time constant of a servo [s], estimated from its size and its mass of 82 g; no data sheet states it.
 
 After an hour, fifteen time constants, the temperature does not depend on it.
 """
@@ -37,11 +37,11 @@ class Energy:
     """Costs of episodes; intervals are 95 % over episodes.
 
     Attributes:
-        power: that all motors draw, with its interval, [3] in W; what they feed back charges nothing.
+        power: power drawn by all motors, with its interval, [3] in W; regenerated power is not recovered.
         cost_of_transport: power over weight and speed, with its interval, [3]; None for robots that do not travel.
         current: root mean square of each motor's current, [joint] in A.
-        temperature: of each after an hour like this [C], [joint].
-        drift: loss of all motors in the second half of the episodes over that in the first, minus 1: about 0 where they
+        temperature: temperature of each servo after an hour at this load [C], [joint].
+        drift: relative change of all motors' losses from the first to the second half of the episodes; near 0 if they
             may be extrapolated to an hour.
         continuous: continuous current rating of the weakest servo [A].
     """
@@ -56,7 +56,7 @@ class Energy:
 
     @property
     def hottest(self) -> str:
-        """The joint that gets hottest."""
+        """The hottest joint."""
         return self.joints[int(self.temperature.argmax())]
 
 
@@ -64,8 +64,8 @@ def measure_energy(logs: Sequence[Rollout], model: RobotModel, robot: Robot, mas
     """The costs of episodes, from their logs with `joint/current` and `joint/velocity`.
 
     Args:
-        mass: of the robot [kg].
-        travels: whether it walks, so that a cost of transport has a meaning.
+        mass: mass of the robot [kg].
+        travels: whether the robot walks, so that a cost of transport is defined.
     """
     resistance = model.tensors(robot.joints)["terminal_resistance"].numpy().reshape(-1)
     constant = torque_per_current(model, robot)
@@ -111,6 +111,6 @@ def torque_per_current(model: RobotModel, robot: Robot) -> Array:
 def temperature_after(loss: Array, resistance: Array | float, duration: float = HOUR) -> Array:
     """Temperature [C] of servos that begin at `AMBIENT` and lose a steady power [W] as heat, after `duration` [s].
 
-    One heat capacity, dT/dt = (ambient + resistance loss - T) / `WARMING`, solved.
+    Solution of dT/dt = (ambient + resistance loss - T) / `WARMING` for one heat capacity.
     """
     return AMBIENT + resistance * np.asarray(loss) * (1 - np.exp(-duration / WARMING))

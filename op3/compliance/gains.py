@@ -1,5 +1,4 @@
-"""Gain and stiffness of the leg joints over the gait: by the phase that the policy observes, and by contact of the
-feet."""
+"""Gain and stiffness of the leg joints over the gait: by the phase that the policy observes, and by foot contact."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,16 +20,16 @@ from op3.tasks.task import TICKS, Task
 Array = NDArray[np.float64]
 
 BINS = 25
-"""Parts of the gait's cycle."""
+"""Number of bins in the gait cycle."""
 
 AFTER_LANDING = 0.1
 """Time after a touchdown that is evaluated separately [s]."""
 
 TICK = round(1000 * CONTROL_PERIOD)
-"""Milliseconds of a tick."""
+"""Duration of a tick [ms]."""
 
 SITUATIONS = ("support", "swing", "landed", "support_clock", "swing_clock")
-"""Situations of a leg: by contact of its foot, in the 100 ms after its touchdown, and by the phase of the gait."""
+"""Situations of a leg: by foot contact, in the 100 ms after touchdown, and by gait phase."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +37,15 @@ class Gains:
     """P gains of the controlled joints; intervals are 95 % over episodes.
 
     Attributes:
-        phase: middle of each bin [cycles], [bin].
+        phase: centre of each bin [cycles], [bin].
         profile: gain over the phase, ``[joint, bin]`` in A/rad.
         profile_interval: ``[joint, bin, 2]``.
-        loaded: share of time in which the joint's foot carries, ``[joint, bin]``.
-        mean: of all joints and times, with its interval, [3] in A/rad.
+        loaded: share of time in which the joint's foot is loaded, ``[joint, bin]``.
+        mean: mean over all joints and times, with its interval, [3] in A/rad.
         by_situation: by name of `SITUATIONS`, mean and interval ``[joint, 3]`` in A/rad.
         softening: mean over the joints of support minus swing by contact, with its interval, [3] in A/rad.
-        landing: the same of the 100 ms after touchdown minus swing, [3] in A/rad.
-        stiffness: torque at the output per gain, ``[joint]`` in N m/A: what makes a stiffness of a gain.
+        landing: mean over the joints of the 100 ms after touchdown minus swing, with its interval, [3] in A/rad.
+        stiffness: output torque per current, ``[joint]`` in N m/A, which converts gain to stiffness.
     """
 
     phase: Array
@@ -66,7 +65,7 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
 
     Args:
         logs: one per robot, with `command/p_gain`.
-        model: of the robots, for the torque that a current gives.
+        model: model of the robots, which gives the torque per current.
     """
     known = load_robot(task.robot)
     columns, foot = known.indices(known.controlled), np.array([foot_of(joint, known) for joint in known.controlled])
@@ -102,7 +101,7 @@ def measure_gains(logs: Sequence[Rollout], traces: Traces, task: Task, model: Ro
 
 
 def _masks(force: NDArray[np.float32], log: Rollout, task: Task) -> dict[str, NDArray[np.bool_]]:
-    """In which situation each foot is at the log's rows, ``[time, 2]``."""
+    """Situation of each foot in the log's rows, ``[time, 2]``."""
     rows = np.arange(log.rows) * TICK
     support = force[rows] >= TOUCHED
     landed = np.zeros_like(support)
@@ -116,7 +115,7 @@ def _masks(force: NDArray[np.float32], log: Rollout, task: Task) -> dict[str, ND
 
 
 def _phase(log: Rollout, task: Task) -> Array:
-    """Phase of the gait at a log's rows [cycles], as the policy saw it."""
+    """Gait phase at a log's rows [cycles], as the policy observed it."""
     assert task.cycle is not None
     sine, cosine = log.array("policy/observation")[:, layout_slices(task.layout)["phase"]].T
     since = CONTROL_PERIOD * (np.arange(log.rows) % TICKS)
@@ -124,6 +123,6 @@ def _phase(log: Rollout, task: Task) -> Array:
 
 
 def _means(values: Array, masks: Sequence[NDArray[np.bool_]]) -> Array:
-    """Mean of values ``[time, joint]`` where each mask is true, ``[mask, joint]``; NaN where it never is."""
+    """Mean of values ``[time, joint]`` where each mask is true, ``[mask, joint]``; NaN if it never is."""
     count = np.array([mask.sum(0) for mask in masks], dtype=float)
     return np.array([np.where(mask, values, 0.0).sum(0) for mask in masks]) / np.where(count, count, np.nan)

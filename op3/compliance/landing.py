@@ -12,7 +12,7 @@ from op3.envs.step_traces import SKIPPED, Traces, swings
 Array = NDArray[np.float64]
 
 WINDOW = 50
-"""Milliseconds after a touchdown in which peaks are searched."""
+"""Time after a touchdown in which peaks are searched [ms]."""
 
 ALIKE = np.array([0.03, 0.004])
 """Differences of speed [m/s] and step height [m] up to which two landings are matched."""
@@ -21,7 +21,7 @@ RESAMPLES = 300
 """Number of draws of the bootstrap."""
 
 FEWEST = 20
-"""Fewest pairs of matched landings that are compared."""
+"""Smallest number of matched pairs for a comparison."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +29,11 @@ class Landings:
     """Touchdowns of many episodes, arrays [landing].
 
     Attributes:
-        episode: in which it happened.
+        episode: episode of the landing.
         force: peak of the ground's force on the foot [N].
-        acceleration: peak of the trunk's, without gravity [m/s^2].
-        speed: forward, over the second around the touchdown [m/s].
-        height: of the swing before it: how far above the ground the sole's lowest point was [m].
+        acceleration: peak acceleration of the trunk without gravity [m/s^2].
+        speed: forward speed over the second around the touchdown [m/s].
+        height: height of the preceding swing: largest height of the sole's lowest point above the ground [m].
     """
 
     episode: NDArray[np.int64]
@@ -48,7 +48,7 @@ class Landings:
         return np.stack([self.speed, self.height], -1) / ALIKE
 
     def of(self, episodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Indices of the landings of episodes, as often as these are named."""
+        """Indices of the landings of episodes; repeated episodes give repeated landings."""
         by_episode = [np.flatnonzero(self.episode == episode) for episode in episodes]
         return np.concatenate(by_episode) if by_episode else np.zeros(0, dtype=np.int64)
 
@@ -76,12 +76,12 @@ def find_landings(traces: Traces, lengths: NDArray[np.int64]) -> Landings:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Landings of one walk minus matched ones of another.
+    """Differences between landings of one walk and matched landings of another.
 
     Attributes:
-        pairs: how many landings have a match.
-        force: mean difference of the peak force and its 95 % interval [N]; None where there are too few pairs.
-        acceleration: the same of the acceleration [m/s^2].
+        pairs: number of matched pairs.
+        force: mean difference of the peak force and its 95 % interval [N]; None with too few pairs.
+        acceleration: mean difference of the peak acceleration and its 95 % interval [m/s^2].
     """
 
     pairs: int
@@ -90,7 +90,7 @@ class Comparison:
 
 
 def compare_landings(ours: Landings, theirs: Landings) -> Comparison:
-    """Match each of our landings with the one of theirs that is nearest in speed and step height, if one is similar.
+    """Match each landing of the first walk with the closest landing of the second in speed and step height, if similar.
 
     Intervals are bootstrapped over the episodes of both, with a fixed seed.
     """
@@ -107,7 +107,7 @@ def compare_landings(ours: Landings, theirs: Landings) -> Comparison:
 
 
 def _paired(ours: Landings, theirs: Landings, *episodes: NDArray[np.int64]) -> Array | None:
-    """Differences of force and acceleration, ``[pair, 2]``; None where one of them never lands."""
+    """Differences of force and acceleration, ``[pair, 2]``; None if one of the walks has no landings."""
     mine, other = ours.of(episodes[0]), theirs.of(episodes[1])
     if not len(mine) or not len(other):
         return None

@@ -1,4 +1,4 @@
-"""Whether a walking robot can be led: pulled slowly by its trunk or by a foot, compared with a twin without a pull."""
+"""Guidance of a walking robot by hand: pulled slowly at trunk or foot and compared with an unpulled twin."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -25,17 +25,17 @@ PULLS = {
 """Pulled body and direction of the pull in the world's axes."""
 
 FIRST, DURATION, MOST = 2.0, 6.0, 6.0
-"""When the force begins to grow and for how long [s], and to what [N]; the OP3 weighs 33 N."""
+"""Start and duration of the force ramp [s], and its largest force [N]; the OP3 weighs 33 N."""
 
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """Robots under a force that grows, arrays over `force` [level]; displacement is that against the twin.
+    """Robots under a growing force, arrays over `force` [level]; displacement is relative to the twin.
 
     Attributes:
-        force: [N].
-        displacement: of the trunk along the force; of the foot against the trunk, mean over a cycle of the gait; mean
-            and 95 % interval over those still upright, ``[level, 3]`` in m; NaN where fewer than two are.
+        force: force levels [N].
+        displacement: displacement of the trunk along the force, or of the foot relative to the trunk, averaged over a
+            gait cycle; mean and 95 % interval over robots still upright, ``[level, 3]`` in m; NaN with fewer than two.
         upright: share of the robots still upright, [level].
     """
 
@@ -45,13 +45,13 @@ class Led:
 
     @property
     def fall_force(self) -> float | None:
-        """Force at which half of the robots have fallen [N]; None where they have not."""
+        """Force at which half of the robots have fallen [N]; None if fewer have fallen."""
         fallen = np.flatnonzero(self.upright < 0.5)
         return float(self.force[fallen[0]]) if len(fallen) else None
 
     @property
     def follows(self) -> float | None:
-        """Displacement per force [m/N]: of all levels at which half are upright, by least squares through zero."""
+        """Displacement per force [m/N]: by least squares through zero over all levels at which half are upright."""
         known = (self.upright >= 0.5) & np.isfinite(self.displacement[:, 0])
         if not known.any():
             return None
@@ -67,7 +67,7 @@ def lead(
     seed: int = 0,
     **options: Any,
 ) -> dict[str, Led]:
-    """Pull walking robots in every way of `PULLS`, with a force that grows evenly.
+    """Pull walking robots in every way of `PULLS` with a linearly growing force.
 
     Args:
         episodes: for each pull; all pulls and the twins have the same initial states.
@@ -107,15 +107,14 @@ class _Places:
         self._place, self._turn = batch.bind("xpos"), batch.bind("xmat")
 
     def now(self) -> Array:
-        """Trunk in the world, and the foot against it in the trunk's axes: ``[sim, 2, 3]`` in m."""
+        """Positions of the trunk in the world and of the foot in the trunk's frame: ``[sim, 2, 3]`` in m."""
         trunk, foot = self._place[:, self.body["trunk"]], self._place[:, self.body["foot"]]
         turn = self._turn[:, self.body["trunk"]].reshape(-1, 3, 3)
         return np.stack([trunk, np.einsum("sij,si->sj", turn, foot - trunk)], 1)
 
 
 def _against_twins(seen: Array, upright: NDArray[np.bool_], way: Array, episodes: int, cycle: float) -> dict[str, Led]:
-    """Displacements of robots ``[step, sim, 2, 3]`` from the twins without a pull, which are the last, averaged over
-    cycles."""
+    """Displacements of robots ``[step, sim, 2, 3]`` from the unpulled twins (the last rows), averaged over cycles."""
     count, period = len(way), TICKS * CONTROL_PERIOD
     twins = np.tile(seen[:, count:], (1, len(PULLS), 1, 1))
     moved = np.einsum("tsci,si->tsc", seen[:, :count] - twins, way)

@@ -1,4 +1,4 @@
-"""The largest push survived, per direction: a ladder of impulses on many robots side by side."""
+"""The largest survived push by direction, from a ladder of impulses on many robots in parallel."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from op3.tasks.task import Task, find_task
 Array = NDArray[np.float64]
 
 AFTER = 2.0
-"""Time after a push for which a robot must stay upright to have survived it [s]."""
+"""Time for which a robot must stay upright to survive a push [s]."""
 
 ROWS = 80
 """Robots simulated together; larger batches are hardly faster per robot."""
@@ -27,7 +27,7 @@ class Survival:
     """Which pushes were survived.
 
     Attributes:
-        impulse: of each rung of the ladder [N s], [rung].
+        impulse: impulse of each rung [N s], [rung].
         survived: ``[direction, rung, episode]``.
     """
 
@@ -39,20 +39,20 @@ class Survival:
         """Largest impulse survived, mean over states of the gait, with its 95 % interval: ``[direction, 3]`` in N s.
 
         The mean threshold is the area under the share that survives (Spearman-Karber); rungs stand in the middle of
-        equal steps. A robot that survives the highest rung is counted as if that were its threshold.
+        equal steps. If a robot survives the highest rung, its threshold is taken as that rung.
         """
         return np.stack([self._estimate(self.survived[[i]]) for i in range(len(self.survived))])
 
     @property
     def mean_largest(self) -> Array:
-        """The same, mean over the directions: [3] in N s."""
+        """Largest survived impulse with its interval, mean over the directions: [3] in N s."""
         return self._estimate(self.survived)
 
     def _estimate(self, survived: NDArray[np.bool_]) -> Array:
         step = self.impulse[1] - self.impulse[0]
         share, count = survived.mean(-1), survived.shape[-1]
         middle = step * share.sum(-1).mean()
-        # the variance of a share, kept from being nothing at 0 and 1 (Agresti and Coull)
+        # the variance of a share, corrected so that it is not zero at 0 and 1 (Agresti and Coull)
         guarded = (survived.sum(-1) + 1) / (count + 2)
         half = 1.96 * step * np.sqrt((guarded * (1 - guarded) / count).sum()) / len(survived)
         return np.array([middle, max(0.0, middle - half), middle + half])
@@ -72,14 +72,14 @@ def survive_pushes(
 ) -> Survival:
     """Push walking robots, each once, and record which stay upright.
 
-    Beginnings, directions and times of the pushes depend on the seed alone, so that policies meet the same; and no
-    push depends on how many robots stand side by side.
+    Initial states, directions and times of the pushes depend only on the seed, not on the number of parallel robots, so
+    that all policies get the same pushes.
 
     Args:
-        most: impulse up to which the ladder reaches [N s].
-        rungs: of the ladder, each with so many episodes in each direction.
-        episodes: see `rungs`.
-        rows: robots side by side, at most; who is done with one push gets the next.
+        most: largest impulse of the ladder [N s].
+        rungs: number of rungs of the ladder.
+        episodes: number of episodes per rung and direction.
+        rows: largest number of parallel robots; a robot that has finished a push gets the next one.
         **options: further arguments of `op3.envs.make_env`.
     """
     impulse = most * (np.arange(rungs) + 0.5) / rungs
@@ -93,7 +93,7 @@ def survive_pushes(
 
 
 def _push_all(env: BatchedEnv, actor: Actor, pushes: Sequence[Push]) -> NDArray[np.bool_]:
-    """Whether each push was survived, [push]; a robot that is done gets the next one."""
+    """Whether each push was survived, [push]; a robot that has finished a push gets the next one."""
     survived = np.ones(len(pushes), dtype=bool)
     waiting, free = iter(range(len(pushes))), np.arange(env.num_envs)
     job = np.full(env.num_envs, -1)

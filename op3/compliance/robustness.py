@@ -1,4 +1,4 @@
-"""How many robots with one variation a policy keeps upright, and the card with the results."""
+"""Success of a policy on robots with one variation each, and the card with the results."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ PUSH_RUNGS, LARGEST_PUSH = 10, 3.0
 
 @settings("variation")
 class Variation:
-    """One variation of the robot, or the task, that a policy was trained on.
+    """A variation of the robot or the task that a policy was trained on.
 
     Attributes:
-        text: what, in words.
-        add: to the values of the model's parameters, or to `bus_voltage`, by name. An effect that the model does not
-            have is put into it; its parameters begin where it does nothing.
-        scale: factors on them.
-        gain_scale: factor on every gain that is commanded.
-        task: values of the task that are others, by dotted path.
+        text: description of the variation.
+        add: increments of the model's parameters or of `bus_voltage`, by name. A missing effect is added to the model
+            with neutral values.
+        scale: factors on these parameters.
+        gain_scale: factor on every commanded gain.
+        task: changed values of the task, by dotted path.
     """
 
     text: str = ""
@@ -56,7 +56,7 @@ class Variation:
     task: Named[Any] = dataclasses.field(default_factory=dict)
 
     def model(self, model: RobotModel) -> RobotModel:
-        """The robot with it.
+        """The robot's model with the variation.
 
         Raises:
             ValueError: if there is no such parameter, or its value is impossible.
@@ -74,14 +74,14 @@ class Variation:
 
 
 def _with_parameter(model: RobotModel, name: str) -> RobotModel:
-    """A model that has a parameter: where its effect is off, with the effect at values at which it does nothing."""
+    """The model with this parameter; if its effect is off, it is added at neutral values."""
     if name in model.parameters():
         return model
     for effect in catalogue().values():
         if any(parameter.name == name for parameter in effect.parameters):
             return model.with_effect(effect(), {p.name: _neutral(p) for p in effect.parameters})
     known = sorted({p.name for effect in catalogue().values() for p in effect.parameters} | {BUS_VOLTAGE})
-    raise ValueError(f"a variation changes {name!r}: no model has such a parameter{nearest(name, known)}")
+    raise ValueError(f"a variation changes {name!r}, but no effect has such a parameter{nearest(name, known)}")
 
 
 def _neutral(parameter: Parameter) -> float:
@@ -90,13 +90,13 @@ def _neutral(parameter: Parameter) -> float:
 
 @dataclass(frozen=True)
 class Passed:
-    """Episodes of one kind of robots on one ground, one episode each.
+    """Results of robots with one variation on one ground, with one episode each.
 
     Attributes:
-        episodes: all of them.
-        upright: without a fall.
-        successes: that also did what the task asks for.
-        speed: mean forward [m/s]; NaN for a task without a gait.
+        episodes: number of episodes.
+        upright: number of episodes without a fall.
+        successes: number of these that also met the task's success criterion.
+        speed: mean forward speed [m/s]; NaN for a task without a gait.
     """
 
     episodes: int
@@ -120,7 +120,7 @@ class Passed:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """For a file."""
+        """The results as plain data."""
         low, high = (round(end, 3) for end in self.interval)
         speed = {} if np.isnan(self.speed) else {"speed": round(self.speed, 4)}
         return {"success": round(self.successes / self.episodes, 3), "low": low, "high": high, **speed}
@@ -149,11 +149,11 @@ def make_card(
     """Measure the content of a card.
 
     Args:
-        model_name: of the model, for the card.
-        variations: by name; the robot as it is comes first by itself.
-        made: command, commit and date, for the card.
-        robots: in each variation, and pushed in each direction.
-        seed: of the episodes, the same for all variations.
+        model_name: name of the model, for the card.
+        variations: variations by name; the nominal robot is added as the first.
+        made: command, commit and date for the card.
+        robots: number of robots in each variation, and in each direction of pushes.
+        seed: seed of the episodes, the same for all variations.
         **options: further arguments of `op3.envs.make_env`.
     """
     bundle = actor.policy

@@ -21,7 +21,7 @@ STANDING = np.zeros(3)
 """The command to stop and stand."""
 
 RANGES = {"forward": (-0.1, 0.3), "sideways": (-0.1, 0.1), "turning": (-0.5, 0.5)}
-"""Velocities within which commands are kept [m/s, m/s, rad/s]: those of the task walk_command."""
+"""Range of velocity commands [m/s, m/s, rad/s], as in the task walk_command."""
 
 LOW, HIGH = (np.array([bounds[side] for bounds in RANGES.values()]) for side in (0, 1))
 
@@ -33,12 +33,12 @@ class CommandSource:
         """Forwards and to the left [m/s], and rate of turning [rad/s], ``[3]``; None once the source is lost.
 
         Args:
-            time: since the policy began [s].
+            time: time since the policy began [s].
         """
         raise NotImplementedError
 
     def close(self) -> None:
-        """Release what was opened, if anything was."""
+        """Release the opened device, if any."""
 
 
 def command_source(name: str) -> CommandSource:
@@ -46,7 +46,7 @@ def command_source(name: str) -> CommandSource:
     ``python:<package.module.function>``.
 
     Raises:
-        ValueError: if there is no such source; one sentence with the remedy.
+        ValueError: if there is no such source; the message states the remedy.
     """
     if name == "keyboard":
         return Keyboard()
@@ -70,7 +70,7 @@ class Schedule(CommandSource):
           - {time: 8.0}
 
     Raises:
-        ValueError: naming file and field, if an entry is no such mapping or times do not rise.
+        ValueError: if an entry is invalid or times do not increase; the message names file and field.
     """
 
     def __init__(self, path: str | Path):
@@ -91,13 +91,13 @@ class Schedule(CommandSource):
         self._times, self._values = np.array(times), limited(np.array(values))
 
     def at(self, time: float) -> Array | None:
-        """The entry in force; standing before the first one."""
+        """The current entry; before the first entry the command is to stand."""
         number = int(np.searchsorted(self._times, time + 1e-9, side="right")) - 1
         return STANDING.copy() if number < 0 else self._values[number].copy()
 
 
 class Function(CommandSource):
-    """Commands from a Python function of the time; it raises or returns None when it has no more.
+    """Commands from a Python function of time, which raises an exception or returns None at its end.
 
     Args:
         path: ``package.module.function``.
@@ -115,7 +115,7 @@ class Function(CommandSource):
         try:
             value = self._function(time)
             asked = None if value is None else np.asarray(value, dtype=float)
-        except Exception as error:  # whatever a user's function does, the robot stops and stands
+        except Exception as error:  # whatever fails in a user's function, the robot stops and stands
             print(f"the command function failed ({error}); the robot stops", file=sys.stderr)
             return None
         return None if asked is None or asked.shape != (3,) or not np.isfinite(asked).all() else limited(asked)
@@ -125,7 +125,7 @@ class Keyboard(CommandSource):
     """Keys in a terminal: w and s for speed, a and d to turn, q and e sideways, space to stop; x ends commanding.
 
     Args:
-        stream: whose file descriptor is read; the terminal by default.
+        stream: stream whose file descriptor is read; by default the terminal.
     """
 
     STEPS = {
@@ -172,19 +172,19 @@ class Keyboard(CommandSource):
 
 
 class Gamepad(CommandSource):
-    """A gamepad of Linux: the left stick moves, the right one turns; unplugging it loses the source.
+    """A Linux gamepad: the left stick commands motion, the right stick turning; unplugging it ends the source.
 
     Events of the joystick interface are 8 bytes: time [ms], value, kind, number (kernel, Documentation/input/joydev).
 
     Args:
-        path: of its device.
+        path: path of the device.
     """
 
     AXES = {1: (0, -1), 0: (1, -1), 3: (2, -1)}
-    """Command and sign of each stick axis, by its number."""
+    """Command and sign of each stick axis, by axis number."""
 
     DEAD = 0.1
-    """Dead zone about the centre of a stick, as a share of its travel: sticks do not return to the centre exactly."""
+    """Dead zone around the centre of a stick, as a share of its travel, because sticks do not return exactly."""
 
     def __init__(self, path: str | Path):
         try:

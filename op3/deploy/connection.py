@@ -35,7 +35,7 @@ EMULATED = "emulated"
 """Name of the port that starts an emulated robot in this process."""
 
 HANG_SCALE = 0.5
-"""Share of the peak currents that a suspended robot gets."""
+"""Share of the peak currents allowed on a suspended robot."""
 
 SETTLE_TIME = 1.5
 """Time for which the start pose is held before a motion or a policy begins [s]."""
@@ -98,7 +98,7 @@ def connect(
     known = load_robot(robot)
     offsets = None if calibration is None else Calibration.load(calibration, known)
     if port == EMULATED:
-        # These bring MuJoCo, which a robot's computer does not need.
+        # These import MuJoCo, which a robot's computer does not need.
         from op3.deploy.emulated import emulate
         from op3.deploy.emulator import VirtualPort
 
@@ -117,9 +117,9 @@ class Plan:
     """Settings of a run around its main phase.
 
     Attributes:
-        dry: whether torque stays off; the loop runs and its currents are not sent.
+        dry: whether torque stays off; the loop runs without sending its currents.
         current_scale: allowed share of the peak currents.
-        end_pose: pose in which torque is switched off; None: its pose "rest", or home if it has none.
+        end_pose: pose in which torque is switched off; None: the robot's pose "rest", or home without one.
         folder: folder of the logs; None: no logs.
         panel: whether to show the live view in a terminal.
     """
@@ -148,8 +148,8 @@ def run(
 
     Args:
         start: start pose [joint] in rad; by default home.
-        p_gain: P gains on the way to it [A/rad].
-        d_gain: D gains on the way to it [A s/rad].
+        p_gain: P gains while moving to the start pose [A/rad].
+        d_gain: D gains while moving to the start pose [A s/rad].
         report: receives lines for the operator; None: the terminal, above the live view.
     """
     plan, robot = plan or Plan(), connection.bus.robot
@@ -185,7 +185,7 @@ def run(
 def read_only(
     connection: Connection, duration: float, plan: Plan | None = None, *, report: Report | None = None
 ) -> SessionOutcome:
-    """Show and record the robot's sensors, without writing to it."""
+    """Show and record the robot's sensors without writing to the robot."""
     plan, bus = plan or Plan(), connection.bus
     panel = StatusPanel(bus.robot, plan.panel)
     say = report or panel.say
@@ -228,7 +228,7 @@ def setup(connection: Connection, *, report: Report = print) -> ExitCode:
     if not connection.operator.confirm(
         f"Torque will be switched off, and {text} is written to the EEPROM of all servos."
     ):
-        report("not confirmed, nothing written")
+        report("not confirmed; nothing was written")
         return ExitCode.DECLINED
     safety = Safety(connection.bus, report=report)
     try:
@@ -242,15 +242,15 @@ def setup(connection: Connection, *, report: Report = print) -> ExitCode:
 
 
 SAMPLES = 50
-"""Readings of a pose that are averaged."""
+"""Number of averaged readings of a pose."""
 
 
 def calibrate(connection: Connection, path: str | Path, *, pose_name: str = "zero", report: Report = print) -> ExitCode:
-    """Write the joints' offsets, the mean of `SAMPLES` of a robot without torque that is held in a pose."""
+    """Write the joints' offsets: the mean of `SAMPLES` readings of a torque-free robot held in a pose."""
     bus = connection.bus
     held, bus.calibration = bus.robot.pose(pose_name), Calibration(robot=bus.robot)
     if not connection.operator.confirm(f"Hold the robot exactly in the pose {pose_name!r}."):
-        report("not confirmed, nothing written")
+        report("not confirmed; nothing was written")
         return ExitCode.DECLINED
     if on := [name for name, value in bus.sync_read("torque_enable").items() if value]:
         report(f"torque is on at {', '.join(on)}; switch the power off and on")
@@ -263,7 +263,7 @@ def calibrate(connection: Connection, path: str | Path, *, pose_name: str = "zer
         bus.clock.sleep_until(bus.clock.now() + PERIOD)
     if not counts.all():
         silent = ", ".join(bus.joints[i] for i in np.flatnonzero(counts == 0))
-        report(f"no answer from {silent}; check cables, and that the servos' supply is on")
+        report(f"no answer from {silent}; check the cables and switch the servos' supply on")
         return ExitCode.START_CHECK
     calibration = Calibration(held - sums / counts, robot=bus.robot)
     calibration.save(path)

@@ -1,11 +1,10 @@
-"""The robot's bus, keyed by joint name, over the unmodified dynamixel-sdk.
+"""The robot's bus, accessed by joint name through the unmodified dynamixel-sdk.
 
-Reading needs only a `Bus`. Writing needs the one `Writer` that a bus gives out, so that a single object decides what
-reaches the servos.
+Reading needs only a `Bus`. Writing needs the only `Writer` of a bus, so that one object decides what is sent.
 
-This module adds functions that the SDK does not have. Status packets are parsed one by one, so that the ALERT bit and
-the loss of a single servo are detected; a wait ends a few milliseconds after the last byte instead of after 34; a lock
-left by an interrupted call is cleared; a disconnected port is one error, `Unplugged`.
+This module adds functions that the SDK does not have. Status packets are parsed one by one to detect the ALERT bit and
+the loss of a single servo. A wait ends a few milliseconds after the last byte instead of after 34 ms. The lock of an
+interrupted call is cleared, and a disconnected port raises the single error `Unplugged`.
 """
 
 from __future__ import annotations
@@ -42,14 +41,14 @@ GAP = 2.0
 """Longest pause between bytes of consecutive answers [ms]."""
 
 SLOW_ANSWER = 24.0
-"""Both limits while a USB adapter has its default latency timer of 16 ms, as after it was plugged in again [ms]."""
+"""Both limits for a USB adapter with the default latency timer of 16 ms, for example after replugging [ms]."""
 
 ATTEMPTS = 3
 """Attempts of a single read or write."""
 
 
 class BusError(RuntimeError):
-    """Something on the bus did not work; the message names the device."""
+    """A failure on the bus; the message names the device."""
 
 
 class NoAnswer(BusError):
@@ -68,19 +67,19 @@ class Bus:
     """The servos of a robot, and its board if it has one.
 
     Args:
-        port: a port handler of dynamixel-sdk or anything that behaves like one; opened here unless it is open.
-        robot: whose joints, bus ids and board these are: a name in `assets/robots`, or the path of its file.
+        port: a port handler of dynamixel-sdk or an equivalent object, which is opened if necessary.
+        robot: robot on the bus: a name in `assets/robots`, or the path of its file.
 
     Attributes:
-        ids: of all devices, by joint and `BOARD`.
+        ids: bus ids of all devices, by joint and `BOARD`.
 
     Raises:
         Unplugged: if the port cannot be opened.
-        ValueError: if the robot has servos that this bus does not know.
+        ValueError: if the robot has servos that this bus does not support.
     """
 
     def __init__(self, port: Any, clock: Clock, robot: str | Robot, *, calibration: Calibration | None = None) -> None:
-        # The SDK waits for two of these beyond the time on the wire; its 16 ms are those of an untuned adapter.
+        # The SDK waits two latency timers beyond the time on the wire; its default is an adapter's 16 ms.
         dynamixel_sdk.port_handler.LATENCY_TIMER = 1
         self.port, self.clock, self.port_name = port, clock, str(getattr(port, "port_name", "port"))
         self.robot = load_robot(robot)
@@ -108,10 +107,10 @@ class Bus:
             with self._plugged():
                 opened = self.port.setBaudRate(BAUD_RATE)
         except Unplugged as error:
-            code = getattr(error.__cause__, "errno", None)  # its text names the port and the reason twice
+            code = getattr(error.__cause__, "errno", None)  # the error's text repeats the port and the reason
             raise Unplugged(
                 f"the port {self.port_name} cannot be opened ({os.strerror(code) if code else error.__cause__});"
-                " plug the adapter in, or name another one with port="
+                " plug the adapter in, or name another port with port="
             ) from error.__cause__
         if not opened:
             raise Unplugged(f"the port {self.port_name} cannot be opened at {BAUD_RATE} bit/s")
@@ -133,11 +132,11 @@ class Bus:
             (self._first_answer, self._gap), sdk.LATENCY_TIMER = usual, timer
 
     def clear(self) -> None:
-        """Free a port that an interrupted call left locked; otherwise the SDK sends nothing more."""
+        """Unlock a port after an interrupted call; otherwise the SDK sends nothing."""
         self.port.is_using = False
 
     def writer(self) -> Writer:
-        """The only handle that writes; given out once."""
+        """The only write handle; it can be requested once."""
         if self._writer is not None:
             raise RuntimeError("the bus already has a writer; only one object may write")
         self._writer = Writer(self)
@@ -148,7 +147,7 @@ class Bus:
         return self._try(name, "a ping", lambda: self._sdk.ping(self.port, self.ids[name]))
 
     def ping_all(self) -> dict[str, int]:
-        """Model number of every device that answers, by name. Costs 4 ms per missing one, not the SDK's 0.8 s."""
+        """Model number of every device that answers, by name. A missing one takes 4 ms instead of 0.8 s."""
         found = {}
         for name in self.ids:
             with suppress(NoAnswer):
@@ -163,26 +162,27 @@ class Bus:
         return result == dynamixel_sdk.COMM_SUCCESS
 
     def read(self, name: str, register: str, *, attempts: int = ATTEMPTS) -> int:
-        """One register of one device, with sign; retries without an answer; raises `NoAnswer` or `Refused`."""
+        """Signed value of one register of one device, with retries; raises `NoAnswer` or `Refused`."""
         entry = self._register(name, register)
         place = (self.ids[name], entry.address, entry.size)
         return entry.decode(self._try(name, f"a read of {register}", lambda: self._read_once(*place), attempts))
 
     def sync_read(self, register: str) -> dict[str, int]:
-        """One register of all servos, with sign; those that do not answer are left out."""
+        """Signed values of one register of all servos; servos that do not answer are omitted."""
         entry = DYNAMIXEL_X[register]
         data, _ = self._read_many(entry.address, entry.size, fast=False)
         return {self.names[number]: entry.decode(value) for number, value in data.items()}
 
     def read_state(self) -> RobotState:
         """The readings of one tick. Devices that do not answer keep their last values; see `RobotState.answered`."""
-        # In a fast answer a lost part hides those behind it, so one servo in twenty could miss several ticks in a row.
-        # After a loss everyone answers in a packet of its own: slower, and each loss stands alone.
+        # In a fast answer a lost part hides the later parts, so one servo of twenty could miss several ticks in a row.
+        # After a loss every servo answers in a separate packet: slower, but each loss affects one servo.
         fast = self.block.fast and not self._missed
         data, alerts = self._read_many(self.block.address, self.block.length, fast=fast, order=self._order)
         self._missed = len(data) < len(self._order)
         if missing := [number for number in self._order if number not in data]:
-            # A servo waits for the one before it, so one that is silent hides all behind it: it is asked last from now.
+            # A servo answers after the previous one, so a silent servo hides all later ones: from now on it is read
+            # last.
             self._order.remove(missing[0])
             self._order.append(missing[0])
         self._data.update(data)
@@ -196,7 +196,7 @@ class Bus:
         return RobotState.of(registers, self.units, self.calibration.offset, board, **seen)
 
     def _errors_of(self, alert: np.ndarray) -> np.ndarray:
-        """Hardware errors [joint] if the block does not contain them: read from servos that raise the alert."""
+        """Hardware errors [joint], read from servos that raise the alert if the block does not contain them."""
         errors = np.zeros(len(self.joints), dtype=np.int64)
         for index in np.flatnonzero(alert):
             with suppress(BusError):
@@ -204,7 +204,7 @@ class Bus:
         return errors
 
     def _read_once(self, number: int, address: int, length: int) -> tuple[bytes, int, int]:
-        """Data, result and error of a read. The SDK's function would accept any answer of the device."""
+        """Data, result and error of a read. The SDK's function would accept any packet from the device."""
         with self._plugged():
             sent = self._sdk.readTx(self.port, number, address, length)
         if sent != dynamixel_sdk.COMM_SUCCESS:
@@ -240,9 +240,9 @@ class Bus:
         return found, {i for i, (error, _) in answers.items() if error & ALERT}
 
     def _receive(self, ids: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
-        """Error and data of each of these devices, until all have answered or the bytes stop coming.
+        """Error and data of each of these devices, until all have answered or no more bytes arrive.
 
-        Other answers, such as a late one to an earlier instruction, are ignored.
+        Other answers, such as late answers to an earlier instruction, are ignored.
         """
         parser, answers = Parser(), {}
         for chunk in self._chunks(len(ids) * (11 + length)):
@@ -256,7 +256,7 @@ class Bus:
         return answers
 
     def _collect(self, expected: int) -> bytes:
-        """The bytes of one answer, until there are as many as expected or they stop coming."""
+        """The bytes of one answer, until the expected number has arrived or no more arrive."""
         data = b""
         for chunk in self._chunks(expected):
             data += chunk
@@ -265,8 +265,8 @@ class Bus:
         return data
 
     def _chunks(self, expected: int) -> Iterator[bytes]:
-        """Received bytes until the line is silent; stuffing may add bytes. A disturbed line may never be silent, so the
-        wait is limited.
+        """Received bytes until the line is silent, because stuffing may add bytes. The wait is limited, because a
+        disturbed line may never be silent.
         """
         got = 0
         try:
@@ -285,13 +285,13 @@ class Bus:
             self.port.is_using = False
 
     def _try(self, name: str, what: str, call: Any, attempts: int = ATTEMPTS) -> Any:
-        """The value of an SDK call that returns value, result and error; retried without an answer."""
+        """The value of an SDK call that returns value, result and error; it is repeated if there is no answer."""
         result = dynamixel_sdk.COMM_RX_TIMEOUT
         for _ in range(attempts):
             with self._plugged():
                 try:
                     value, result, error = call()
-                except IndexError:  # the SDK trips over packets that are cut short
+                except IndexError:  # the SDK fails on truncated packets
                     self.clear()
                     result = dynamixel_sdk.COMM_RX_CORRUPT
                     continue
@@ -314,7 +314,7 @@ class Bus:
         except (serial.SerialException, OSError, termios.error, TypeError, AttributeError) as error:
             never_open = isinstance(self.port, SerialPort) and self.port.ser is None
             if isinstance(error, TypeError | AttributeError) and not never_open:
-                raise  # without its device the SDK trips over None; anywhere else they are our own mistakes
+                raise  # without its device the SDK fails on None; elsewhere these exceptions are errors in op3
             self.clear()
             raise Unplugged(f"the port {self.port_name} disappeared ({error}); check the USB cable") from error
 
@@ -336,8 +336,8 @@ class Writer:
         bus._try(name, f"{value} for {register}", call)
 
     def sync_write(self, register: str, values: Mapping[str, int] | int) -> None:
-        """Write one register of servos in one packet, by joint or one value for all; there is no answer, so read it
-        back."""
+        """Write one register of servos in one packet, by joint or with one value for all. There is no answer, so read
+        it back."""
         entry = DYNAMIXEL_X[register]
         if isinstance(values, int):
             values = dict.fromkeys(self._bus.joints, values)

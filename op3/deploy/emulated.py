@@ -1,4 +1,4 @@
-"""The emulated robot for users: held up by the trunk, and put down on the floor when it is ready."""
+"""The emulated robot for users: held by the trunk, and put down on the floor when it is ready."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MakePhysics = Callable[[str, ArrayLike | None], Physics]
 """Builds the physics of a robot in a scene, at joint angles [joint] in rad."""
 
 LOOK_EVERY = 0.032
-"""Interval between observations of the robot's true motion [s]: once per policy step."""
+"""Interval between observations of the robot's true motion [s]: one policy step."""
 
 
 class Hands(Operator):
@@ -35,8 +35,8 @@ class Hands(Operator):
     begins.
 
     Args:
-        scene: where it is put down, a name for `op3.scenes.build_scene`.
-        task: whose scene and ground it is, moving as in the episode of the seed; None for the scene.
+        scene: scene in which the robot is put down, a name for `op3.scenes.build_scene`.
+        task: task that defines scene and ground, moving as in the seed's episode; None: only the scene.
     """
 
     def __init__(self, robot: EmulatedRobot, make: MakePhysics, scene: str, task: Task | None, seed: int):
@@ -90,7 +90,7 @@ def physics_maker(
     model: str | Path | None = None,
     seed: int = 0,
 ) -> tuple[MakePhysics, str]:
-    """A function that makes the robot on a scene, and metadata that identify it without its hidden parameters; see
+    """A function that creates the robot in a scene, and metadata that identify it without hidden parameters; see
     `emulate`."""
     known = load_robot(robot)
     if model is None:
@@ -128,21 +128,21 @@ def emulate(
     Args:
         robot: a name in `assets/robots`, or the path of its file.
         world: hidden parameters of the stand-in; see `op3.stand_in.HiddenWorld.find`. Ignored if a model is given.
-        world_seed: which random world; None: as `seed`.
+        world_seed: seed of a random world; None: `seed`.
         model: name or file of a model, instead of a stand-in; "own": the model of its servo makes.
-        scene: where it is put down: a name for `op3.scenes.build_scene`.
-        task: whose ground it is put down on, moving as in the episode of the seed; None for the scene.
+        scene: scene in which the robot is put down, a name for `op3.scenes.build_scene`.
+        task: task that defines the ground, moving as in the seed's episode; None: only the scene.
         joint_position: [joint] in rad at the start; None for home.
         powered: whether someone has pressed the robot's power button; otherwise the servos' supply is off.
-        jig: whether something holds the joints where they are at the start.
+        jig: whether a jig holds the joints at their initial angles.
 
     Returns:
         The robot, the operator who holds it, and metadata that identify the robot without its hidden parameters.
     """
-    Units(load_robot(robot))  # refuses servos of another bus before anything is made of them
+    Units(load_robot(robot))  # rejects servos of another bus first
     where, task = seed if world_seed is None else world_seed, None if task is None else find_task(task)
     make, identity = physics_maker(robot, world=world, world_seed=where, model=model, seed=seed)
-    check_scene(scene if task is None else task.scene, load_robot(robot))  # it is put down later, with torque on
+    check_scene(scene if task is None else task.scene, load_robot(robot))  # the robot is put down with torque on
     hanging = make("stand", joint_position)
     if jig:
         hanging.advance = lambda duration: None  # time passes, nothing moves

@@ -1,4 +1,4 @@
-"""Exit codes of the process, by the end of a run on the robot."""
+"""Exit codes of the process, by how a run on the robot ended."""
 
 from enum import IntEnum
 
@@ -48,7 +48,7 @@ class ExitCode(IntEnum):
     SELF_COLLISION = 31
     """Parts of the robot were about to collide at its measured or commanded angles."""
     TORQUE_LOST = 32
-    """No current follows a servo's goal: another program switched its torque off, or its motor is broken."""
+    """A servo delivers no current at its goal: another program switched its torque off, or its motor is broken."""
     NOT_VERIFIED = 40
     """Torque off could not be read back from every servo: switch the power off by hand."""
     REPLAY = 50
@@ -64,10 +64,10 @@ class ExitCode(IntEnum):
 
 
 class Stop(Exception):
-    """Ends a run for a reason.
+    """Raised to end a run for a reason.
 
     Args:
-        damp: whether the joints are damped for a while before torque goes off.
+        damp: whether the joints are damped for some time before torque is switched off.
     """
 
     def __init__(self, code: ExitCode, reason: str, *, damp: bool = False):

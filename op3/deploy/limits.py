@@ -1,7 +1,7 @@
 """From targets to allowed servo currents: PD, soft joint limits, peak and continuous current.
 
-A servo in current mode enforces no position limit, so the software must. The peak limits are
-written into the servos' own current limit as well.
+A servo in current mode enforces no position limit, so the software must. The peak limits are also written into the
+servos' current limit registers.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Limits:
     """Limits of a run.
 
     Attributes:
-        peak_current: largest goal current of any joint [A]; None: that of each joint in the robot's file.
-        continuous_current: continuous current rating of a servo [A]; None: that in the file of its make.
+        peak_current: largest goal current of any joint [A]; None: each joint's value in the robot file.
+        continuous_current: continuous current rating of a servo [A]; None: the value in the servo's file.
         p_gain: largest P gain that a policy may command [A/rad].
         thermal_time: time constant of the mean square current [s].
         temperature: a servo at or above this ends the run [C].
@@ -41,12 +41,12 @@ class Limits:
         fall_time: time beyond that angle after which the run ends [s].
         coast_ticks: number of ticks without an answer of a servo or the IMU before the joints are damped.
         loss_time: time without an answer before torque is switched off [s].
-        imu_repeats: number of identical IMU blocks in a row after which it counts as frozen.
-        homing_offset: largest homing offset that a servo may have [counts], for a robot that was calibrated with it.
+        imu_repeats: number of identical IMU blocks in a row after which the IMU counts as frozen.
+        homing_offset: largest accepted homing offset of a servo [counts], for a robot calibrated with such an offset.
         damp_gain: D gain of a damped joint [A s/rad].
         damp_time: time for which joints are damped before torque is switched off [s].
         overlap: allowed overlap of parts of the robot at the measured angles [m].
-        overlap_ahead: allowed overlap predicted for 16 ms later, or at the commanded angles, see `SelfCollision` [m].
+        overlap_ahead: allowed overlap predicted 16 ms ahead, or at the commanded angles, see `SelfCollision` [m].
     """
 
     peak_current: Positive | None = None
@@ -75,7 +75,7 @@ class Limits:
         """Peak and continuous goal current [joint] in counts.
 
         Raises:
-            ValueError: if a peak lies below the continuous rating, or above what the register takes.
+            ValueError: if a peak is below the continuous rating or exceeds the register's range.
         """
         units = Units(robot)
         peak = units.peak if self.peak_current is None else self.peak_current / units.current
@@ -108,14 +108,14 @@ class Command:
         return cls(position, *gains)
 
     def limited(self, robot: Robot) -> Command:
-        """The same with targets clipped to the soft limits; raises `Stop` if a number is not finite or a gain
-        negative."""
+        """This command with targets clipped to the soft limits; raises `Stop` for non-finite numbers or negative
+        gains."""
         for name, values in vars(self).items():
             refuse(robot, name, values, ~np.isfinite(values) | ((values < 0) if name != "position" else False))
         return Command(self.position.clip(*robot.limits.T), self.p_gain, self.d_gain)
 
     def damped(self, d_gain: float) -> Command:
-        """The same with zero P gains: only damping."""
+        """This command with zero P gains, so that joints are only damped."""
         return Command.of(self.position, 0.0, d_gain)
 
 
@@ -145,12 +145,12 @@ class CurrentLimiter:
 
     @property
     def load(self) -> Array:
-        """[joint] mean square current over the continuous one's square; 1 is the continuous rating."""
+        """[joint] mean square current relative to the squared continuous current; 1 is the continuous rating."""
         return self._mean_square / self._continuous**2
 
     @property
     def limit(self) -> Array:
-        """[joint] largest goal current now, in counts. It decreases linearly while the load goes from 0.9 to 1."""
+        """[joint] present limit of the goal current in counts, decreasing linearly for loads from 0.9 to 1."""
         share = ((1 - self.load) / 0.1).clip(0, 1)
         return self._continuous + share * (self._peak - self._continuous)
 
@@ -161,12 +161,12 @@ class CurrentLimiter:
         refuse(self._robot, "the current", current, ~np.isfinite(current))
         limit, (low, high) = np.floor(self.limit), self._robot.limits.T
         counts = np.round(current / self._unit).clip(-limit, limit)
-        # Beyond a soft limit only the way back is allowed.
+        # Beyond a soft limit only motion back is allowed.
         counts = np.where(state.position > high, np.minimum(counts, 0), counts)
         counts = np.where(state.position < low, np.maximum(counts, 0), counts)
         return counts.astype(np.int64)
 
     def account(self, written: NDArray[np.int64], state: RobotState) -> None:
-        """Add one period with these goal currents [joint]; the larger of goal and measured current counts."""
+        """Add one period with these goal currents [joint], using the larger of goal and measured current."""
         carried = np.maximum(np.abs(written), np.abs(state.raw["current"])).astype(float)
         self._mean_square += self._blend * (carried**2 - self._mean_square)

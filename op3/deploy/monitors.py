@@ -1,4 +1,4 @@
-"""Monitors of every tick, and the conditions under which they coast, damp or end the run."""
+"""Monitors that check every tick and coast, damp the joints or end the run."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ CONFIRMED = 3
 """Consecutive readings that confirm a temperature; a single one may be a glitch."""
 
 ALIVE_COUNTS = 50
-"""A servo that answers has at least 5 V; one that reports less has restarted and lost its indirect addresses."""
+"""A servo that answers has at least 5 V; at less, it has restarted and lost its indirect addresses."""
 
 FASTEST = 3.0
 """Largest speed of a joint, even when pushed, as a multiple of its servo's no-load speed."""
 
 LEAST_JUMP = 0.1
-"""Smallest difference of consecutive positions that can be a jump [rad]."""
+"""Smallest difference of consecutive positions that counts as a jump [rad]."""
 
 SAG_READINGS = 10
 """Consecutive readings that confirm a low supply; a load step makes it sag for some milliseconds."""
@@ -38,7 +38,7 @@ class MonitorResult:
 
 
 class Monitor:
-    """Checks the readings, one per `period` [s]."""
+    """Checks the readings of every `period` [s]."""
 
     def __init__(self, limits: Limits, robot: Robot, period: float):
         self._limits, self._period = limits, period
@@ -91,20 +91,20 @@ class Monitor:
         if bad.size:
             causes = ", ".join(f"{self._joints[i]} ({HardwareError.describe(int(errors[i]))})" for i in bad)
             if (errors[bad] == HardwareError.INPUT_VOLTAGE).all():
-                # By itself this bit does not switch the servo off (register `shutdown`).
+                # This bit alone does not switch the servo off (register `shutdown`).
                 raise Stop(ExitCode.VOLTAGE, f"out of the voltage range: {causes}", damp=True)
-            reason = f"shut down by itself: {causes}; remove the cause, then switch the power off and on"
+            reason = f"shut down: {causes}; remove the cause, then switch the power off and on"
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
         fresh = state.answered & (state.raw["voltage"] < ALIVE_COUNTS)
         if fresh.any():
             names = ", ".join(self._joints[i] for i in np.flatnonzero(fresh))
-            reason = f"restarted by itself: {names}; check its cable and the battery"
+            reason = f"restarted unexpectedly: {names}; check its cable and the battery"
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
 
     def _check_jump(self, silent: np.ndarray, state: RobotState) -> None:
         """Detect impossible positions, on which a controller would drive the joint with full current."""
         before, self._last_position = self._last_position, state.position
-        if before is None:  # the start checks found all joints within their limits
+        if before is None:  # the start checks confirmed that all joints are within their limits
             before = np.clip(state.position, *self._limits_of_joints)
         jump = np.where(state.answered, state.position - before, 0.0)
         limit = LEAST_JUMP + FASTEST * self._units.fastest * self._period * np.maximum(silent, 1)
@@ -153,7 +153,7 @@ class Monitor:
         self._hot = self._hot + 1 if hot.any() else 0
         if self._hot >= CONFIRMED:
             joint = int(state.temperature.argmax())
-            reason = f"{self._joints[joint]} has {state.temperature[joint]:.0f} C; let it cool"
+            reason = f"{self._joints[joint]} is at {state.temperature[joint]:.0f} C; let it cool"
             raise Stop(ExitCode.TEMPERATURE, reason, damp=True)
 
     def _check_supply(self, state: RobotState) -> None:

@@ -1,4 +1,4 @@
-"""The person at the robot: confirms before torque, and starts the policy while the loop runs."""
+"""The person at the robot, who confirms before torque and starts the policy while the loop runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import suppress
 
 
 class Operator:
-    """An operator; this one confirms everything at once, for the emulated robot and for tests."""
+    """An operator; this base class confirms everything at once, for the emulated robot and for tests."""
 
     def confirm(self, text: str) -> bool:
         """Ask, and wait for the answer."""
@@ -28,7 +28,7 @@ class Operator:
         """The policy has ended: hold the robot."""
 
     def travelled(self) -> float | None:
-        """Distance travelled since then [m]; None if not measured, as when a person measures it by hand."""
+        """Distance travelled since `begin` [m]; None if not measured, for example if a person measures it."""
         return None
 
 
@@ -56,13 +56,13 @@ class Console(Operator):
 
     @staticmethod
     def _forget() -> None:
-        """Discard an Enter from before the question."""
+        """Discard an Enter that was pressed before the question."""
         with suppress(OSError, ValueError, termios.error):
             termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
 def quietly(report: Callable[[str], None]) -> Callable[[str], None]:
-    """Report without failing if the terminal is closed, so that switching off continues."""
+    """Print a line; a closed terminal is ignored, so that switching off continues."""
 
     def say(text: str) -> None:
         with suppress(OSError, ValueError):

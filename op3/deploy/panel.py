@@ -20,16 +20,16 @@ from op3.deploy.ticker import PERIOD, Ticker
 from op3.robot import Robot
 
 RECENT = 1250
-"""Ticks whose lateness is shown: the last ten seconds."""
+"""Number of ticks whose lateness is shown, ten seconds."""
 
 
 class StatusPanel:
-    """Rewrites a block of text a few times a second; silent if the output is not a terminal. A thread writes it, so
-    that a stalled terminal, such as one on a slow network, does not block the loop. Updates that it cannot show in time
-    are skipped; messages appear above the block and remain.
+    """Rewrites a block of text a few times a second, if the output is a terminal. A separate thread writes it, so that
+    a stalled terminal, for example on a slow network, does not block the loop. Updates that it cannot show in time are
+    skipped; messages appear above the block and remain.
 
     Args:
-        wanted: whether to show the block; messages are always shown.
+        wanted: whether to show the block; messages always appear.
     """
 
     def __init__(self, robot: Robot, wanted: bool = True, stream: TextIO | None = None, every: int = 31):
@@ -50,7 +50,7 @@ class StatusPanel:
         verdict: MonitorResult,
         ticker: Ticker,
     ) -> None:
-        """Show a tick, if an update is due."""
+        """Show a tick if an update is due."""
         self._ticks += 1
         if self.enabled and self._ticks % self._every == 1 and self._waiting.empty():
             self._put(self.text(phase, state, command, counts * self._unit, verdict, ticker))
@@ -89,7 +89,7 @@ class StatusPanel:
         self._stream.flush()
 
     def _write(self, lines: list[str]) -> None:
-        # A line that is wrapped, or one above the top of the window, could not be rewritten in place.
+        # Wrapped lines and lines above the window cannot be rewritten in place.
         columns, rows = shutil.get_terminal_size()
         shown = lines if len(lines) < rows else [*lines[: rows - 2], lines[-1]]
         lines = [line[: columns - 1] for line in shown]
@@ -107,7 +107,7 @@ class StatusPanel:
         verdict: MonitorResult,
         ticker: Ticker,
     ) -> list[str]:
-        """One row per joint, with time and attitude above, deadlines and warnings below; goal currents [joint] in A."""
+        """One row per joint, between time and attitude above and deadlines and warnings below; currents in A."""
         timing, attitude = ticker.timing(last=RECENT), ""
         if state.orientation is not None:
             attitude = "roll {:6.1f} pitch {:6.1f} deg   ".format(*np.rad2deg(state.orientation[:2]))

@@ -25,17 +25,17 @@ GAIN_RAMP_TIME = 1.0
 """Time in which P gains rise from zero at the measured pose [s]."""
 
 BLEND_TIME = 0.25
-"""Time in which gains change to those of a move, for example after a soft policy [s]."""
+"""Time over which gains change to the gains of a move, for example after a compliant policy [s]."""
 
 LEAST_MOVE_TIME = 2.0
 """Shortest time of a move to another pose [s]."""
 
 MOVE_SPEED = 1.0
-"""Fastest speed of a joint on such a move [rad/s]; longer moves take longer."""
+"""Largest speed of a joint during such a move [rad/s], which determines the duration of long moves."""
 
 
 class Phase:
-    """Gives commands tick by tick. Targets outside the soft limits are clipped at execution."""
+    """Gives one command per tick. Targets outside the soft limits are clipped at execution."""
 
     name = ""
     log = "approach"
@@ -44,12 +44,12 @@ class Phase:
         """The command of a tick, or None when the phase is over.
 
         Args:
-            elapsed: deadlines since the phase began, skipped ones included.
+            elapsed: number of deadlines since the phase began, including skipped deadlines.
         """
         raise NotImplementedError
 
     def channels(self) -> dict[Any, Array]:
-        """Further channels of the log for the tick just commanded."""
+        """Further log channels for the last commanded tick."""
         return {}
 
 
@@ -88,11 +88,11 @@ class Move(Phase):
     """A minimum-jerk move from the current targets to a pose, so that neither targets nor gains jump.
 
     Args:
-        pose: [joint] in rad.
-        p_gain: [A/rad].
-        d_gain: [A s/rad].
-        start: gives the previous command, from whose gains it changes over `BLEND_TIME`; without a previous command the
-            move starts from the measured pose.
+        pose: target pose [joint] in rad.
+        p_gain: P gain [A/rad].
+        d_gain: D gain [A s/rad].
+        start: function that returns the previous command; gains change from its gains over `BLEND_TIME`. Without a
+            previous command the move starts from the measured pose.
     """
 
     name = "move"
@@ -116,7 +116,7 @@ class Move(Phase):
         if self._start is None:
             given = None if self._given_start is None else self._given_start()
             self._start = replace(self._own, position=state.position) if given is None else given
-            # The fastest instant of a minimum-jerk move has 1.875 times its mean speed.
+            # The peak speed of a minimum-jerk move is 1.875 times its mean speed.
             needed = 1.875 * float(np.abs(self._goal - self._start.position).max()) / MOVE_SPEED
             self._ticks = round(max(LEAST_MOVE_TIME, needed) / PERIOD)
         if elapsed >= self._ticks:
@@ -133,9 +133,9 @@ class HoldPose(Phase):
     """Hold a pose until a condition is met, or for a time.
 
     Args:
-        pose: [joint] in rad.
-        p_gain: [A/rad].
-        d_gain: [A s/rad].
+        pose: target pose [joint] in rad.
+        p_gain: P gain [A/rad].
+        d_gain: D gain [A s/rad].
         until: condition, evaluated in every tick; True ends the phase. Raising `Stop` ends the run.
         duration: longest time [s].
     """
@@ -179,9 +179,9 @@ class FollowMotion(Phase):
     """Follow a motion, as excitation for identification.
 
     Args:
-        motion: targets; joints that it does not name stay at home.
+        motion: targets of joints; other joints stay at home.
         p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
-        d_gain: the same [A s/rad].
+        d_gain: one number or array, as for `p_gain` [A s/rad].
 
     Raises:
         ValueError: if the motion is not safe, see `check_motion`, or gains have another shape.

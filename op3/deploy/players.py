@@ -1,4 +1,4 @@
-"""Robots that record motions and policies: the real and the emulated one, with the same two methods."""
+"""Players record motions and policies on the real or the emulated robot with the same two methods."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Player:
     Args:
         robot: a name in `assets/robots`, or the path of its file.
         folder: folder of the ticks of all runs.
-        calibration: file with the joints' offsets; None for none.
-        confirm: whether a person is asked before torque.
-        seed: of an emulated robot; the k-th recording adds k.
+        calibration: file with the joints' offsets; None: no offsets.
+        confirm: whether a person must confirm before torque.
+        seed: seed of an emulated robot; recording k adds k.
         report: receives lines for the operator; None: the terminal, above the live view.
         emulation: further options of `op3.deploy.emulated.emulate`.
     """
@@ -78,12 +78,12 @@ class Player:
     ) -> Rollout:
         """Run one episode of a policy and record it.
 
-        A fall, or another reason to stop the robot while the policy runs, ends the episode without an error: the log
-        counts as fallen, with the reason in ``extra["ended_by"]``.
+        A fall, or another stop while the policy runs, ends the episode without an exception: the log is marked as
+        fallen, with the reason in ``extra["ended_by"]``.
 
         Args:
             cycle: duration of a gait cycle [s], for a policy that sees the phase.
-            task: of the episode, and of an emulated robot's ground; None: the policy's, on the floor.
+            task: task of the episode and of an emulated robot's ground; None: the policy's task, on the floor.
 
         Raises:
             Stop: if the run ended before the policy began.
@@ -101,7 +101,7 @@ class Player:
         )
 
     def skip(self) -> None:
-        """Count a recording that exists already, so that the next one is the same as after recording it."""
+        """Count an existing recording, so that the next recording is the same as if this one had been recorded now."""
         self._count += 1
 
     def _record(self, make: Any, recording: str | None, ground: Task | None = None, **options: Any) -> Rollout:
@@ -142,7 +142,7 @@ POLICY_FAILED = (
     ExitCode.NON_FINITE,
     ExitCode.SELF_COLLISION,
 )
-"""Ends of an episode that count as failures of the policy, unlike faults of the bus."""
+"""Exit codes that count as failures of the policy, unlike faults of the bus."""
 
 
 def _ending(outcome: SessionOutcome, extra: dict[str, Any]) -> dict[str, Any]:

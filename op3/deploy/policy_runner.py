@@ -1,4 +1,4 @@
-"""Runs a policy on the readings of one robot, with the functions of training; and replays a log through it."""
+"""Runs a policy on the readings of one robot with the functions used in training, and replays logs through a policy."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from op3.tasks.task import POLICY_PERIOD, find_task, task_names
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-5
-"""Largest difference of an action that counts as the same when a log is replayed."""
+"""Actions that differ by at most this value count as equal in a replay."""
 
 
 class PolicyRunner:
-    """A policy, its memory and its clock.
+    """A policy with its memory and its clock.
 
     Attributes:
-        velocity: commanded: forwards and to the left [m/s], and rate of turning [rad/s], ``[3]``.
+        velocity: commanded velocity forwards and to the left [m/s], and turning rate [rad/s], ``[3]``.
 
     Args:
-        cycle: duration of a gait cycle [s], for a policy that observes the phase; None: that of its task.
-        p_gain: largest gain that it may command [A/rad].
+        cycle: duration of a gait cycle [s], for a policy that observes the phase; None: the cycle of its task.
+        p_gain: largest gain that the policy may command [A/rad].
 
     Raises:
         ValueError: if the bundle cannot run on this robot; the message names the field.
@@ -59,7 +59,7 @@ class PolicyRunner:
         manifest.check_fits(manifest.layout, manifest.history, 1 / PERIOD, 1 / (PERIOD * POLICY_TICKS))
         highest = manifest.action_map.gain_high
         if highest is not None and highest > p_gain:
-            allowed = f"the robot's limit is {p_gain:g} A/rad; give a policy that stays below, or limits.p_gain"
+            allowed = f"the robot's limit is {p_gain:g} A/rad; use a policy with lower gains, or raise limits.p_gain"
             raise ValueError(f"field gain_high of the policy's manifest is {highest:g} A/rad, and {allowed}")
         cycle = manifest.cycle if cycle is None else cycle
         if cycle is None and manifest.task in task_names():
@@ -69,14 +69,14 @@ class PolicyRunner:
         self._cycle = cycle if "phase" in manifest.layout else None
         self._robot = load_robot(robot)
         self.bundle = bundle
-        # The first steps build tables and take a hundred times as long as later ones: not in a running loop.
+        # The first steps build tables and take a hundred times as long as later steps, too long for a running loop.
         self.reset()
         home = self._robot.home
         try:
             example = self._sense(home, 0.0 * home, np.zeros(3), np.zeros(3), 0)
             self._observer = Observer(manifest.observations, self._robot, manifest.history, example)
         except ValueError as error:
-            raise ValueError(f"field layout: this version of op3 lacks an observation ({error})") from None
+            raise ValueError(f"field layout: this version of op3 does not have an observation ({error})") from None
         if self._observer.layout != dict(manifest.layout):
             observed = self._observer.layout
             raise ValueError(f"field layout: this version observes {observed}, but the policy {dict(manifest.layout)}")
@@ -85,7 +85,7 @@ class PolicyRunner:
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: the robot has held the stand pose, and its commanded velocity is zero."""
+        """Begin an episode, with the robot at rest in the stand pose and zero commanded velocity."""
         self._begun = False
         self._yaw = 0.0
         self.velocity = np.zeros(3)
@@ -118,7 +118,7 @@ class PolicyRunner:
         angles = np.array(orientation, dtype=float)
         if not self._begun:
             self._yaw = angles[2]
-        # Yaw counts from where the episode began, and does not jump where the sensor's wraps around.
+        # Yaw is relative to the start of the episode, and continuous although the sensor's yaw wraps around.
         angles[2] = np.remainder(angles[2] - self._yaw + np.pi, 2 * np.pi) - np.pi
         values = (position, velocity, self.previous, angles, rates)
         rows = (torch.as_tensor(np.asarray(value, dtype=float))[None] for value in values)
@@ -147,16 +147,16 @@ STOPPING = 2.0
 
 
 class FollowPolicy(Phase):
-    """The phase in which the policy commands, every fourth deadline.
+    """The phase in which the policy commands at every fourth deadline.
 
-    A policy that takes commands stands during the last `STOPPING` seconds, and after its source of commands is lost.
+    A policy with velocity commands must stand during the last `STOPPING` seconds and after its command source is lost.
 
     Args:
         commands: source of the velocity command; None: stand.
 
     Attributes:
-        on_begin: called once, right before the first observation.
-        on_end: called once, when all steps are over.
+        on_begin: function called once, immediately before the first observation.
+        on_end: function called once, after the last step.
     """
 
     name = "policy"
@@ -175,12 +175,12 @@ class FollowPolicy(Phase):
         runner.reset()
 
     def command(self, elapsed: int, state: RobotState) -> Command | None:
-        """The current command; a new one if a policy step is due.
+        """The current command, updated if a policy step is due.
 
         Raises:
             Stop: if the policy refuses the observation or its action is not finite.
         """
-        # A step whose own deadline was skipped is made up for at the next tick.
+        # A step whose deadline was skipped runs at the next tick.
         step = elapsed // POLICY_TICKS
         if step >= self._steps:
             self.on_end()
@@ -212,7 +212,7 @@ class FollowPolicy(Phase):
         time = step * POLICY_PERIOD
         asked = None if self._source is None else self._source.at(time)
         if asked is None and self._source is not None:
-            self._source = None  # lost for good: a robot that has stopped does not start by itself
+            self._source = None  # lost permanently: a stopped robot must not start by itself
         ends = self._steps * POLICY_PERIOD - time <= STOPPING
         return STANDING.copy() if asked is None or ends else asked
 
@@ -223,11 +223,11 @@ class FollowPolicy(Phase):
 
 @dataclass(frozen=True)
 class PolicyReplay:
-    """Result of feeding a number of policy steps of a log to a policy again.
+    """Result of replaying policy steps of a log through a policy.
 
     Attributes:
         action_difference: largest absolute difference of an action.
-        observation_difference: the same of an observation; NaN where none was logged.
+        observation_difference: largest absolute difference of an observation; NaN if none was logged.
         first: step of the first action beyond the tolerance; None if there is none.
     """
 
@@ -250,10 +250,10 @@ class PolicyReplay:
 
 
 def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
-    """Feed the sensor readings of an episode to a policy and compare; its rows are at the loop's or the policy's rate.
+    """Replay the sensor readings of an episode through a policy and compare; rows have the loop's or policy's rate.
 
     Raises:
-        ValueError: if the log lacks a channel, has another rate, or is of another kind of policy.
+        ValueError: if the log lacks a channel, has another rate, or was recorded with another kind of policy.
     """
     sensed = ("joint/position", "joint/velocity", "imu/orientation", "imu/angular_velocity")
     for key in ("policy/action", *sensed):
@@ -265,7 +265,7 @@ def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
     for what, size in (("action", asked.action_map.size), ("observation", asked.observation_size)):
         if f"policy/{what}" in log and (logged := log.array(f"policy/{what}").shape[-1]) != size:
             raise ValueError(
-                f"the log's {what}s have {logged} numbers and those of this policy {size}; give the policy that was run"
+                f"the log's {what}s have {logged} numbers, but this policy's have {size}; give the recorded policy"
             )
     taken = log.array("policy/action")
     seen = log.array("policy/observation") if "policy/observation" in log else np.full((log.rows, 1), np.nan)

@@ -2,9 +2,9 @@
 
     FF FF FD 00 | id | length (2) | instruction | parameters | crc (2)
 
-`length` counts everything after it. Instruction and parameters are stuffed: after every FF FF FD comes one more FD, so
-that a header cannot appear inside a packet. The CRC is taken over all bytes before it, as they are on the wire. Source:
-ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
+`length` counts everything after it. Instruction and parameters are stuffed: another FD follows every FF FF FD, so that
+a header cannot appear inside a packet. The CRC covers all preceding bytes as transmitted. Source: ROBOTIS e-Manual,
+"DYNAMIXEL Protocol 2.0".
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _CRC = [_after_a_byte(byte << 8) for byte in range(256)]
 
 
 def crc16(data: bytes | bytearray, crc: int = 0) -> int:
-    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion; `crc` is that of bytes before."""
+    """CRC-16 with polynomial 0x8005, most significant bit first, no final inversion; `crc` is that of earlier bytes."""
     for byte in data:
         crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
     return crc
@@ -89,7 +89,7 @@ def unstuff(body: bytes) -> bytes:
 
 
 def encode(device: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A whole packet, ready for the wire, for a device or from it.
+    """A complete packet to or from a device.
 
     Raises:
         ValueError: if the packet would be longer than `MAX_LENGTH`, or the id is invalid.
@@ -99,7 +99,7 @@ def encode(device: int, instruction: int, parameters: bytes = b"") -> bytes:
     body = stuff(bytes((instruction,)) + parameters)
     length = len(body) + 2
     if length > MAX_LENGTH:
-        raise ValueError(f"a packet holds at most {MAX_LENGTH - 3} bytes of parameters, got {len(parameters)}")
+        raise ValueError(f"a packet can contain at most {MAX_LENGTH - 3} bytes of parameters, got {len(parameters)}")
     packet = HEADER + bytes((device, length & 0xFF, length >> 8)) + body
     return packet + crc16(packet).to_bytes(2, "little")
 
@@ -110,7 +110,7 @@ def encode_status(device: int, error: int, data: bytes = b"") -> bytes:
 
 
 def _packet_1(device: int, content: int) -> bytes:
-    """A packet of protocol 1.0 that holds nothing but an instruction or an error."""
+    """A packet of protocol 1.0 with only an instruction or an error."""
     return bytes((0xFF, 0xFF, device, 2, content, ~(device + 2 + content) & 0xFF))
 
 
@@ -123,7 +123,7 @@ def encode_fast_status(parts: list[tuple[int, int, bytes]]) -> list[bytes]:
     """Each device's part of the common status packet that answers a fast sync or bulk read.
 
     Each appends its error, id, data and a CRC over everything before; the packet's id is `BROADCAST_ID`, and nothing
-    is stuffed. `parts` are error, id and data of each device in their order.
+    is stuffed. `parts` are error, id and data of each device in order.
     """
     length = 1 + sum(len(data) + 4 for _, _, data in parts)
     head = HEADER + bytes((BROADCAST_ID, length & 0xFF, length >> 8, Instruction.STATUS))
@@ -164,9 +164,9 @@ class Packet:
     """One complete packet, to a device or from it.
 
     Attributes:
-        device: its id.
-        instruction: one of `Instruction`, or a number that is none.
-        parameters: without stuffing; of an answer, its error byte first.
+        device: id of the device.
+        instruction: one of `Instruction`, or an unknown number.
+        parameters: parameters without stuffing; in an answer the error byte comes first.
     """
 
     device: int
@@ -185,9 +185,9 @@ class Packet:
 
 
 class Parser:
-    """Finds packets in a stream of bytes, with any bytes between them.
+    """Finds packets in a stream of bytes that may contain other bytes.
 
-    A packet is accepted if its header, id and length are possible and its CRC is right; otherwise the search continues
+    A packet is accepted if its header, id and length are valid and its CRC is correct; otherwise the search continues
     one byte after its header, so that a packet after a damaged one is found.
     """
 
@@ -199,7 +199,7 @@ class Parser:
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Add received bytes; returns the packets that they complete. A ping of protocol 1.0 must arrive alone."""
+        """Add received bytes; return the packets that they complete. A ping of protocol 1.0 must arrive alone."""
         if len(data) == 6 and data == _packet_1(data[2], Instruction.PING):
             return [Packet(data[2], Instruction.PING_1, b"")]
         buffer = self._buffer
@@ -222,7 +222,7 @@ class Parser:
             body, device = bytes(buffer[7 : end - 2]), buffer[4]
             del buffer[:end]
             if not (device == BROADCAST_ID and body[0] == Instruction.STATUS):
-                body = unstuff(body)  # fast answers, and they alone, are not stuffed
+                body = unstuff(body)  # only fast answers are not stuffed
             found.append(Packet(device, body[0], body[1:]))
 
     def _begin(self) -> int:

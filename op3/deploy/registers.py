@@ -1,4 +1,4 @@
-"""Registers of the devices on a robot's bus, read from `assets/buses`, and the units of a robot's servos."""
+"""Registers of the devices on a robot's bus, from `assets/buses`, and the units of a robot's servos."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from op3.robot.robot_file import BOARD_ID
 Array = NDArray[np.float64]
 
 POSITION_ZERO = 2048
-"""Reading of the encoder where a joint's angle is zero."""
+"""Encoder reading at joint angle zero."""
 
 OPERATING_MODES = (0, 1, 3, 4, 5, 16)
 """Values of the register `operating_mode`: current, velocity, position, extended and current-based position, PWM."""
@@ -42,14 +42,14 @@ class Register:
     """One entry of a control table.
 
     Attributes:
-        name: as in the manual, in lower case.
-        address: of its first byte.
-        size: bytes, least significant first.
+        name: name in the manual, in lower case.
+        address: address of the first byte.
+        size: number of bytes, least significant first.
         initial: factory value; None if the device sets it.
         low: smallest value that may be written; None if it is read-only.
         high: largest value that may be written.
         signed: whether it is in two's complement.
-        eeprom: whether it is kept without power, and can be written only with torque off.
+        eeprom: whether it keeps its value without power and can only be written with torque off.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Register:
 
     @property
     def writable(self) -> bool:
-        """Whether it may be written at all."""
+        """Whether it can be written."""
         return self.low is not None
 
     @property
@@ -77,7 +77,7 @@ class Register:
         return f"<{'i' if self.signed else 'u'}{self.size}"
 
     def encode(self, value: int) -> bytes:
-        """The bytes of a value; a ValueError if it does not fit."""
+        """The bytes of a value; raises a ValueError if it does not fit."""
         try:
             return int(value).to_bytes(self.size, "little", signed=self.signed or value < 0)
         except OverflowError:
@@ -89,7 +89,7 @@ class Register:
 
 
 INDIRECT_COUNT = 28
-"""Indirect registers come in two blocks of this many."""
+"""Number of indirect registers in each of the two blocks."""
 
 INDIRECT_TARGETS = (64, 661)
 """Addresses that an indirect address may point at: the RAM area."""
@@ -99,7 +99,7 @@ class ControlTable:
     """The registers of one kind of device.
 
     Args:
-        name: of the file in `assets/buses` that lists them.
+        name: name of the file in `assets/buses`.
 
     Attributes:
         indirect: first address, first data and number of each block of indirect registers.
@@ -152,10 +152,10 @@ OPEN_CR_AXES = np.array([-1.0, -1.0, 1.0])
 
 
 class Units:
-    """Size of one unit of a register of each servo, [joint] in SI units, from the files of their makes.
+    """Size of a register unit of each servo, [joint] in SI units, from the servo files.
 
     Raises:
-        ValueError: if a make is not one of those that the bus knows.
+        ValueError: if the bus does not support a servo.
     """
 
     def __init__(self, robot: Robot):
@@ -164,7 +164,7 @@ class Units:
             if make.bus != "dynamixel-x" or make.model_number is None or make.loop != "current":
                 raise ValueError(
                     f"{robot.name}: the bus supports only Dynamixel X servos in current mode, but {name} has a"
-                    f" {make.name} (loop: {make.loop}); for other servos give logs (docs/logs.md), or use source=model"
+                    f" {make.name} (loop: {make.loop}); for other servos import logs (docs/logs.md) or use source=model"
                 )
             self.models[name] = make.model_number
         makes = robot.servos
@@ -188,5 +188,5 @@ class HardwareError(IntFlag):
 
     @classmethod
     def describe(cls, status: int) -> str:
-        """The errors of a status in words; "none" for 0."""
+        """The errors of a status as text; "none" for 0."""
         return ", ".join(str(bit.name).lower().replace("_", " ") for bit in cls if status & bit) or "none"

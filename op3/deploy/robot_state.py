@@ -1,4 +1,4 @@
-"""The readings of one tick: registers, their layout in packets, SI units and raw counts."""
+"""The readings of one tick: registers, packet layout, SI units and raw counts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PLAIN_LENGTH = CONTENTS["temperature"].end - FIRST_PLAIN
 """The block that needs no indirect addresses: from present current to present temperature, 21 bytes."""
 
 POINTERS = np.array([at for entry in CONTENTS.values() for at in range(entry.address, entry.end)], "<u2").tobytes()
-"""Content of the indirect addresses, from `FIRST_INDIRECT_ADDRESS` on: the address of each byte of the block."""
+"""Content of the indirect addresses from `FIRST_INDIRECT_ADDRESS`: the address of each byte of the block."""
 
 _INDIRECT = np.dtype([(name, entry.kind) for name, entry in CONTENTS.items()])
 _NEAR = {name: entry for name, entry in CONTENTS.items() if entry.address >= FIRST_PLAIN}
@@ -56,13 +56,13 @@ _PLAIN = np.dtype(
 
 @dataclass(frozen=True)
 class Block:
-    """A row of bytes that one (fast) sync read fetches from each servo.
+    """A block of bytes that one (fast) sync read fetches from each servo.
 
     Attributes:
-        address: of the first byte.
-        length: in bytes.
+        address: address of the first byte.
+        length: number of bytes.
         fast: whether the servos answer in one common packet.
-        indirect: whether the bytes are pointed to by indirect addresses.
+        indirect: whether indirect addresses refer to the bytes.
     """
 
     address: int
@@ -71,7 +71,7 @@ class Block:
     indirect: bool
 
     def unpack(self, data: Sequence[bytes]) -> dict[str, Counts]:
-        """Registers by name, each [joint], sign included. A plain block lacks the hardware error."""
+        """Signed registers by name, each [joint]. A plain block does not contain the hardware error."""
         table = np.frombuffer(b"".join(data), dtype=_INDIRECT if self.indirect else _PLAIN)
         return {name: table[name].astype(np.int64) for name in table.dtype.names or ()}
 
@@ -90,10 +90,10 @@ BOARD_LENGTH = OPEN_CR["yaw"].end - BOARD_ADDRESS
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """One tick's reading. Devices that did not answer keep their last values. Without an IMU its channels are None.
+    """The readings of one tick. Devices that did not answer keep their last values. Channels of a missing IMU are None.
 
     Attributes:
-        time: when reading ended [s, clock].
+        time: time at which reading ended [s, clock].
         position: [joint] in rad.
         velocity: [joint] in rad/s.
         current: [joint] in A.
@@ -101,10 +101,10 @@ class RobotState:
         temperature: [joint] in C.
         alert: [joint] whether the servo's status packet carried the ALERT bit.
         answered: [joint] whether the servo answered in this tick.
-        supply_voltage: at the board, or the lowest of the servos [V].
-        raw: registers as received, with sign: those of `CONTENTS` [joint], and `imu` [9]: gyro, accelerometer,
+        supply_voltage: voltage at the board, or the lowest voltage of the servos [V].
+        raw: signed registers as received: the registers in `CONTENTS` [joint], and `imu` [9]: gyro, accelerometer,
             roll-pitch-yaw.
-        imu_answered: whether the IMU answered in this tick; None where there is none.
+        imu_answered: whether the IMU answered in this tick; None without an IMU.
         orientation: [3] roll, pitch, yaw in rad, R = Rz(yaw) Ry(pitch) Rx(roll).
         angular_velocity: [3] in rad/s in the base's frame.
         linear_acceleration: [3] specific force in m/s2 in the base's frame.
@@ -138,7 +138,7 @@ class RobotState:
         answered: NDArray[np.bool_],
         imu_answered: bool,
     ) -> RobotState:
-        """Registers of `CONTENTS` in SI units, `offset` [rad] added to angles, and what the board said, if any."""
+        """Registers of `CONTENTS` in SI units, with `offset` [rad] added to angles, and the board's readings if any."""
         volts, seen = units.voltage * raw["voltage"], {}
         supply = float(volts.min())
         if board is not None:
@@ -179,10 +179,10 @@ class Calibration:
     """Offsets that are added to the servos' angles to give joint angles.
 
     Args:
-        offset: [joint] in rad; None for none.
+        offset: offsets [joint] in rad; None: zero.
 
     Raises:
-        ValueError: if an offset is not a number, or so large that the horn must be on the wrong tooth.
+        ValueError: if an offset is not a number, or so large that the horn must be mounted on the wrong tooth.
     """
 
     LARGEST = 0.3
@@ -203,7 +203,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path, robot: str | Robot) -> Calibration:
-        """Read ``offset_rad: {<joint>: <rad>}``; joints that are not named have no offset."""
+        """Read ``offset_rad: {<joint>: <rad>}``; missing joints have no offset."""
         path, known = Path(path), load_robot(robot)
         if not path.is_file():
             raise FileNotFoundError(f"there is no calibration file {path}; create one with mode=calibrate")

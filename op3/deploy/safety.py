@@ -35,10 +35,10 @@ from op3.deploy.start_checks import StartChecks
 from op3.deploy.ticker import PERIOD, Tick
 
 WATCHDOG = 5
-"""Bus watchdog in its unit: a servo that receives nothing for 100 ms switches its torque off."""
+"""Bus watchdog in register units: a servo that receives nothing for 100 ms switches its torque off."""
 
 RECOVERY_TIME = 0.25
-"""Time in which P gains return after a loss of answers that led to damping [s]."""
+"""Time over which P gains return after damping because of lost answers [s]."""
 
 RELEASE_WRITES = 3
 """Number of times that zero current and torque off are sent before they are read back."""
@@ -47,7 +47,7 @@ RELEASE_PATIENCE = 5.0
 """Time for which torque off is retried on a silent bus [s]."""
 
 ASKED = 40
-"""Goal current from which a measured current must follow [counts]."""
+"""Smallest goal current at which a measured current is expected [counts]."""
 
 LET_GO = 5
 """Ticks without current after which the servo's torque register is read."""
@@ -82,7 +82,7 @@ class Release:
 
 
 class Onlooker:
-    """The interface of the loop to the guard; this class has no write handle and does nothing.
+    """The loop's interface to the safety guard; this class has no write handle and does nothing.
 
     Attributes:
         torque: whether torque may be switched on at all.
@@ -115,7 +115,7 @@ class Onlooker:
         """Switch torque on."""
 
     def assess(self, tick: Tick, state: RobotState) -> MonitorResult:
-        """Check a reading: here everything is allowed, as nothing is driven; losses are reported."""
+        """Check a reading: nothing is driven, so everything is allowed, but losses are reported."""
         silent = [self._joints[i] for i in np.flatnonzero(~state.answered)]
         return MonitorResult(note=f"no answer from {', '.join(silent)}" if silent else "")
 
@@ -133,7 +133,7 @@ class Safety(Onlooker):
 
     Args:
         current_scale: share of the peak currents that is allowed, for a suspended robot or first trials.
-        torque: whether torque may be switched on at all; without it currents are computed and not sent.
+        torque: whether torque may be switched on at all; if not, currents are computed but not sent.
     """
 
     def __init__(
@@ -163,10 +163,10 @@ class Safety(Onlooker):
         return self._limiter.load
 
     def check_start(self, *, whole: bool = True) -> None:
-        """Run the start checks, or only those that are required for writing.
+        """Run the start checks, or only the checks required for writing.
 
         Raises:
-            Stop: if one fails; nothing is energised.
+            Stop: if a check fails; nothing is energised.
         """
         checks = self._checks(self._writer)
         last = checks.run() if whole else checks.run_power()
@@ -180,23 +180,23 @@ class Safety(Onlooker):
         self._report(f"reading {block.length} bytes per servo by {way}")
 
     def write_settings(self, values: Mapping[str, int | dict[str, int]]) -> None:
-        """Write the registers of all servos that differ, torque off first.
+        """Write the registers that differ on any servo, after switching torque off.
 
         Raises:
-            Stop: if a servo does not take a value.
+            Stop: if a servo does not accept a value.
         """
         for register, value in ({"torque_enable": 0} | dict(values)).items():
             self._set(register, value)
 
     def energise(self) -> None:
-        """Switch torque on, in the only order that is safe.
+        """Switch torque on in the only safe order.
 
-        A change of the operating mode sets the goal current to the current limit, so the goal is written afterwards
-        and read back from every servo before torque. A tripped watchdog makes the goals read-only, so it is cleared
-        first; it is armed last, because from then on the loop must run.
+        A change of the operating mode sets the goal current to the current limit, so the goal is written afterwards,
+        and read back from every servo before torque is switched on. A tripped watchdog makes the goals read-only, so it
+        is cleared first; it is armed last, because from then on the loop must run.
 
         Raises:
-            Stop: if a servo does not take a value.
+            Stop: if a servo does not accept a value.
         """
         self.touched = True
         peak = np.floor(self._limiter.limit).astype(int)
@@ -241,8 +241,8 @@ class Safety(Onlooker):
         return verdict
 
     def _check_letting_go(self, state: RobotState) -> None:
-        """Detect a servo whose torque another program switched off: it answers as before, but no current follows its
-        goal. A fast servo has little voltage left for a current, so it is not checked.
+        """Detect a servo whose torque another program switched off: it answers as before but delivers no current. A
+        fast-moving servo is not checked, because little voltage remains for a current.
         """
         slow = np.abs(state.velocity) < 0.5 * self.bus.robot.speed_limits
         asked = state.answered & slow & (np.abs(self._written) >= ASKED)
@@ -261,7 +261,7 @@ class Safety(Onlooker):
             reason = f"torque of {joint} was switched off by another program: {said}; end that program"
             raise Stop(ExitCode.TORQUE_LOST, reason)
         if ticks >= SILENT:
-            raise Stop(ExitCode.TORQUE_LOST, f"{said}, though its torque is on; check its motor and its driver")
+            raise Stop(ExitCode.TORQUE_LOST, f"{said}, although its torque is on; check its motor and its driver")
 
     def _check_gap(self) -> None:
         """Stop after a pause that tripped the servos' watchdogs, which then ignore all goals."""
@@ -275,7 +275,7 @@ class Safety(Onlooker):
             raise Stop(ExitCode.OVERRUN, f"{reason}; stop other programs on this computer")
 
     def _check_torque(self) -> None:
-        """After a long silence, check for servos that restarted meanwhile and have no torque."""
+        """After a long silence, check for servos that have restarted and have no torque."""
         off = [name for name, value in self.bus.sync_read("torque_enable").items() if not value]
         if off:
             raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
@@ -289,7 +289,7 @@ class Safety(Onlooker):
             Goal currents [joint] in counts, and the executed command.
 
         Raises:
-            Stop: if a number is not finite, or at the commanded angles the robot hits itself; then nothing is written.
+            Stop: if a number is not finite, or the robot would hit itself at the commanded angles; nothing is written.
             Unplugged: if the port has disappeared.
         """
         command = command.limited(self.bus.robot)
@@ -312,12 +312,12 @@ class Safety(Onlooker):
     def release(self, patience: float = RELEASE_PATIENCE) -> Release:
         """Switch torque off and read it back; tries for `patience` [s] on a bus that does not answer.
 
-        Never raises for faults of the bus; they are in the report.
+        Faults of the bus raise no exception; they are in the report.
         """
         clock = self.bus.clock
         end = clock.now() + patience
         for attempt in count():
-            # In turn as a tick waits, and as long as an adapter takes that was plugged in again.
+            # Alternates between a tick's timeouts and those of a replugged adapter.
             waits = (SLOW_ANSWER, SLOW_ANSWER) if attempt % 2 else (FIRST_ANSWER, GAP)
             with self.bus.patience(*waits):
                 result = self._release_once()
@@ -326,8 +326,8 @@ class Safety(Onlooker):
             clock.sleep_until(clock.now() + 0.05)
         if result.ok:
             self.touched = False
-            # A watchdog that has tripped keeps the goals as they were. With torque off it is safe to clear, and
-            # the goals are zero then for whoever switches torque on next.
+            # A tripped watchdog freezes the goals. With torque off it is safe to clear, and the goals are then
+            # zero for the next program that switches torque on.
             self._attempt(lambda: self._writer.sync_write("bus_watchdog", 0))
             self._attempt(lambda: self._writer.sync_write("goal_current", 0))
         self._report(str(result))
@@ -341,7 +341,7 @@ class Safety(Onlooker):
         there: dict[str, int] = {}
         self._attempt(lambda: there.update(self.bus.sync_read("torque_enable")))
         for name in self._joints:
-            # A silent servo hides those behind it from a sync read.
+            # A silent servo hides later servos from a sync read.
             if name not in there:
                 self._attempt(lambda name=name: there.update({name: self.bus.read(name, "torque_enable", attempts=1)}))
         failed = {name: "still on" if name in there else "no answer" for name in self._joints if there.get(name) != 0}

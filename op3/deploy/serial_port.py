@@ -18,7 +18,7 @@ class SerialPort(dynamixel_sdk.PortHandler):
     """
 
     def setupPort(self, cflag_baud: int) -> bool:
-        """Open the port for this program alone; reads wait for up to a millisecond."""
+        """Open the port exclusively; reads wait for up to a millisecond."""
         super().setupPort(cflag_baud)
         assert self.ser is not None
         self.ser.timeout = 0.001
@@ -27,11 +27,11 @@ class SerialPort(dynamixel_sdk.PortHandler):
             self.ser.exclusive = True
         except serial.SerialException as error:
             self.closePort()
-            raise serial.SerialException("another program has it open; end that one first") from error
+            raise serial.SerialException("another program has opened it; end that program first") from error
         return True
 
     def writePort(self, packet: list[int]) -> int:
-        """Send bytes; those that a hanging adapter did not accept must not reach the servos later."""
+        """Send bytes; discard those that a hanging adapter did not accept, so that they are not sent later."""
         assert self.ser is not None
         try:
             return self.ser.write(bytes(packet)) or 0

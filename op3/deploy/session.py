@@ -1,4 +1,4 @@
-"""A run from start checks to torque off, whatever happens during it.
+"""A run from start checks to torque off, which is reached whatever happens.
 
 In every tick, the loop reads all devices, checks the readings, takes the command, computes PD and limits, and writes.
 """
@@ -47,7 +47,7 @@ class SessionOutcome:
 
     Attributes:
         release: result of switching torque off; None if it was never on.
-        ended_in: the log in which the run ended early; None if it did not.
+        ended_in: the log in which the run ended early; None if it ended normally.
     """
 
     code: ExitCode
@@ -67,7 +67,7 @@ class Logs:
         self._start: float | None = None
 
     def open(self) -> None:
-        """Create the folders before the loop, which has no time for it."""
+        """Create the folders before the loop starts, because this takes too long for a tick."""
         for name in LOG_NAMES:
             label = name if self._metadata.recording is None else f"{self._metadata.recording}/{name}"
             self._recorders[name] = Recorder(self._folder / name, self._metadata.replace(recording=label))
@@ -80,7 +80,7 @@ class Logs:
         self._recorders[name].append(row)
 
     def close(self, fell_in: str | None, extra: dict[str, Any]) -> dict[str, Rollout]:
-        """Finish all logs; one that cannot be finished remains as after a crash.
+        """Finish all logs; a log that cannot be finished remains as after a crash.
 
         `fell_in` is the log in which the robot fell, if it did.
         """
@@ -89,7 +89,7 @@ class Logs:
             try:
                 done[name] = recorder.close(fallen=name == fell_in, extra={**self._metadata.extra, **extra})
             except (LogError, OSError) as error:
-                if recorder.rows:  # one without rows takes its folder away
+                if recorder.rows:  # a recorder without rows removes its folder
                     print(f"log {name}: {error}", file=sys.stderr)
         return done
 
@@ -103,12 +103,12 @@ _CODES = {
 
 
 class StopSignals:
-    """Within this context, the first signal raises `Stop` wherever the program is; later ones are ignored.
+    """Within this context, the first signal raises `Stop` wherever the program is; later signals are ignored.
 
     A second Ctrl-C therefore cannot interrupt switching off. After `hush` even the first signal is ignored, because the
     exit path has begun. In threads other than the main one, signals are unchanged.
 
-    Other code may swallow the exception, as a finaliser or a bare `except` does; `check` raises it again.
+    A finaliser or a bare `except` may swallow the exception; `check` raises it again.
     """
 
     def __init__(self) -> None:
@@ -126,7 +126,7 @@ class StopSignals:
             signal.signal(number, handler)
 
     def hush(self) -> None:
-        """Let no signal interrupt what follows."""
+        """Ignore all signals from now on."""
         self._quiet = True
 
     def check(self) -> None:
@@ -146,9 +146,10 @@ class Session:
     """One run of phases on the robot.
 
     Args:
-        safety: the guard that writes, or an onlooker that only reads.
-        logs: takes every tick; None for no log.
-        show: called at the end of every tick with phase, state, command, goal currents [joint], verdict and ticker.
+        safety: the safety guard that writes, or an onlooker that only reads.
+        logs: logs that receive every tick; None: no log.
+        show: function called at the end of every tick with phase, state, command, goal currents [joint], verdict and
+            ticker.
 
     Attributes:
         issued: the executed command of the last tick; None before the first.
@@ -181,7 +182,7 @@ class Session:
     def run(self, phases: Phases) -> SessionOutcome:
         """Check, energise, run the phases, switch off; the outcome states what ended the run.
 
-        Other exceptions than `Exception` (such as `SystemExit`) are raised again after torque has been switched off.
+        `SystemExit` and the like are raised again after torque has been switched off.
         """
         code, reason = ExitCode.OK, "done"
         with self._signals as signals:
@@ -201,12 +202,12 @@ class Session:
                 traceback.print_exc()
                 code, reason = ExitCode.ERROR, f"{type(error).__name__}: {error}"
             finally:
-                # A signal may have come between the end of the work and `hush`; only the first one raises.
+                # A signal may have arrived between the end of the phases and `hush`; only the first signal raises.
                 self._let_go()
             logs = self._close_logs(code, reason)
         timing = self.timing
         if code in (ExitCode.UNPLUGGED, ExitCode.BUS_LOSS) and not timing.ticks and self._release is None:
-            code = ExitCode.START_CHECK  # the bus failed on the way to the first tick, with nothing energised
+            code = ExitCode.START_CHECK  # the bus failed before the first tick, and nothing was energised
         if self._release is not None and not self._release.ok:
             code, reason = ExitCode.NOT_VERIFIED, f"{reason}; {self._release}"
         if timing.ticks:
@@ -221,7 +222,7 @@ class Session:
         question = "The robot is about to move. Hold it, and keep your hands off its joints."
         if safety.torque and not self._operator.confirm(question):
             raise Stop(ExitCode.DECLINED, "not confirmed")
-        # Whatever takes time is done before torque: from then on the watchdogs allow no pause of 100 ms.
+        # Slow work is done before torque: afterwards the watchdogs allow no pause of 100 ms.
         made = phases(self)
         if self._logs is not None:
             self._logs.open()
@@ -249,7 +250,7 @@ class Session:
         raise Stop(ExitCode.START_CHECK, "some devices on the bus do not answer; check cables and power")
 
     def _loop(self, phases: Sequence[Phase]) -> None:
-        """Run the phases to their end, without a break between them."""
+        """Run the phases to their end without a pause between them."""
         self._ticker = Ticker(self._bus.clock)
         waiting = list(phases)
         phase, began = waiting.pop(0), 0
@@ -270,7 +271,7 @@ class Session:
                 self._show(phase.name, state, self.issued, counts, verdict, self._ticker)
 
     def _damp(self, reason: Stop) -> None:
-        """Damp for a while before torque is switched off; a more severe event ends the damping."""
+        """Damp the joints for some time before torque is switched off; a more severe event ends the damping."""
         assert self._ticker is not None
         self._log, self._channels = "after", {}
         for _ in range(round(self._safety.limits.damp_time / PERIOD)):

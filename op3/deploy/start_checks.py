@@ -1,4 +1,4 @@
-"""Checks before any torque. They only read, except for switching on the servos' supply."""
+"""Checks before torque is switched on. They only read, except that they may switch on the servos' supply."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from op3.robot.register_units import VOLTAGE_UNIT
 from op3.robot.self_collision import SelfCollision
 
 POWER_UP_TIME = 0.5
-"""Time for which servos start after their supply is switched on [s]."""
+"""Time that servos need to start after their supply is switched on [s]."""
 
 LEAST_FIRMWARE = 38
 """First firmware of the XM430 with the bus watchdog; ROBOTIS e-Manual."""
@@ -32,7 +32,7 @@ UNTOUCHED = {
     "pwm_limit": 885,
     "profile_velocity": 0,
     "profile_acceleration": 0,
-    "shutdown": 0x34,  # by overheating, an electrical shock and overload
+    "shutdown": 0x34,  # on overheating, electrical shock and overload
 }
 """Registers that other programs change, with their factory values; ROBOTIS e-Manual."""
 
@@ -51,7 +51,7 @@ SAMPLES = 25
 
 @dataclass(frozen=True)
 class Check:
-    """The outcome of one check: the finding, and the remedy if it failed."""
+    """The result of one check, with the remedy if it failed."""
 
     name: str
     ok: bool
@@ -62,17 +62,17 @@ class Check:
 
 
 class Failed(Exception):
-    """A check failed; the message states the finding and the remedy."""
+    """A check failed; the message states the problem and the remedy."""
 
 
 class StartChecks:
     """The checks in order; the first failure ends them, because later checks depend on earlier ones.
 
-    Each returns its finding, or raises `Failed`.
+    Each check returns its result as text, or raises `Failed`.
 
     Args:
-        writer: only switches on the servos' supply; None if not even that is allowed.
-        report: receives each check after it was made.
+        writer: write handle, used only to switch on the servos' supply; None if this is not allowed.
+        report: function that receives each completed check.
     """
 
     def __init__(self, bus: Bus, writer: Writer | None, limits: Limits, report: Callable[[Check], None]):
@@ -80,7 +80,7 @@ class StartChecks:
         self._joints, self._models = bus.joints, {}
 
     def run(self) -> Check:
-        """Run the checks; if one fails, it is the last in the list."""
+        """Run the checks; a failed check is the last in the list."""
         return self._run(
             ("latency timer", self._latency_timer),
             ("servo power", self._power),
@@ -118,7 +118,7 @@ class StartChecks:
         if value is None:
             return "no USB serial adapter with a latency timer"
         if value > LATENCY:
-            raise Failed(f"{value} ms makes a tick take 15 to 20 ms; echo {LATENCY} | sudo tee {file}")
+            raise Failed(f"{value} ms makes a tick take 15 to 20 ms; run echo {LATENCY} | sudo tee {file}")
         return f"{value} ms"
 
     def _power(self) -> str:
@@ -143,7 +143,7 @@ class StartChecks:
         self._writer.write(BOARD, "dynamixel_power", 1)
         bus.clock.sleep_until(bus.clock.now() + POWER_UP_TIME)
         if not bus.read(BOARD, "dynamixel_power"):
-            raise Failed("still off after it was switched on; check the board")
+            raise Failed("the supply is still off after it was switched on; check the board")
         return "switched on"
 
     def _blame_adapter(self) -> None:
@@ -157,8 +157,8 @@ class StartChecks:
         port, late = Path(bus.port_name).name, float(np.median(waits))
         if late > LATE_ANSWER:
             raise Failed(
-                f"answers come after {late:.0f} ms: the USB adapter's latency timer is about as long and must be 1 ms;"
-                f" echo 1 | sudo tee {ADAPTERS}/{port}/latency_timer, or setserial /dev/{port} low_latency"
+                f"answers come after {late:.0f} ms: the USB adapter's latency timer has this value and must be 1 ms;"
+                f" run echo 1 | sudo tee {ADAPTERS}/{port}/latency_timer, or setserial /dev/{port} low_latency"
             )
 
     def _ping(self) -> str:
@@ -166,12 +166,12 @@ class StartChecks:
         if missing := [name for name in self._bus.ids if name not in self._models]:
             self._look_for_protocol_1(missing)
             devices = ", ".join(f"{name} (id {self._bus.ids[name]})" for name in missing)
-            raise Failed(f"no answer from {devices}; check cables, power, ids, and that all are at 2 Mbps")
+            raise Failed(f"no answer from {devices}; check cables, power and ids, and set all devices to 2 Mbps")
         return f"{len(self._joints)} servos{' and OpenCR' if self._bus.board else ''} answer"
 
     def _look_for_protocol_1(self, silent: Sequence[str]) -> None:
         if old := [f"{name} (id {self._bus.ids[name]})" for name in silent if self._bus.answers_protocol_1(name)]:
-            remedy = "set the register protocol_version there to 2, with DYNAMIXEL Wizard"
+            remedy = "set their register protocol_version to 2 with DYNAMIXEL Wizard"
             raise Failed(f"protocol 1.0 answer from {', '.join(old)}; {remedy}")
 
     def _firmware(self) -> str:
@@ -182,7 +182,7 @@ class StartChecks:
         if old := self._where("firmware_version", lambda version: version < LEAST_FIRMWARE):
             raise Failed(f"firmware without bus watchdog: {old}; update to {LEAST_FIRMWARE} or later")
         found = sorted(set(self._all("firmware_version").values()))
-        return f"as in the robot's file, with firmware {', '.join(map(str, found))}"
+        return f"models match the robot file; firmware {', '.join(map(str, found))}"
 
     def _return_delay(self) -> str:
         if slow := self._where(
@@ -197,18 +197,18 @@ class StartChecks:
         return "every packet is answered"
 
     def _untouched(self, register: str) -> str:
-        # A reversed servo turns every correction into a push the wrong way; an offset moves its zero.
+        # A reversed servo drives away from its target; an offset moves its zero.
         allowed = self._limits.homing_offset if register == "homing_offset" else 0
         away = {name: value - UNTOUCHED[register] for name, value in self._all(register).items()}
         odd = self._where(register, lambda value: abs(value - UNTOUCHED[register]) > allowed)
         if not odd:
             return "normal"
-        text, remedy = f"not as expected: {odd}", "write it once with mode=setup, then calibrate"
+        text, remedy = f"unexpected values: {odd}", "write it once with mode=setup, then calibrate"
         if register == "homing_offset":
             name, worst = max(away.items(), key=lambda item: abs(item[1]))
             angle = worst * self._bus.units.position[self._joints.index(name)]
             text += f" (up to {angle:+.2f} rad), set by another program"
-            remedy += f", or keep it with limits.homing_offset={abs(worst)} and calibrate with it"
+            remedy += f", or keep the offset with limits.homing_offset={abs(worst)} and calibrate"
         raise Failed(f"{text}; {remedy}")
 
     def _servo_limits(self) -> str:
@@ -275,18 +275,18 @@ class StartChecks:
             bus.clock.sleep_until(bus.clock.now() + 0.008)
         if len(blocks) < 2:
             self._blame_adapter()
-            raise Failed(f"{SAMPLES} readings contain {len(blocks)} different block; switch the power off and on")
+            raise Failed(f"{SAMPLES} readings contain only {len(blocks)} different block; switch the power off and on")
         assert state.orientation is not None
         assert state.linear_acceleration is not None
         (roll, pitch), force = np.rad2deg(state.orientation[:2]), state.linear_acceleration
-        # Where gravity points, from the accelerometer alone; the attitude filter must agree with it.
+        # The direction of gravity from the accelerometer, with which the attitude filter must agree.
         felt = np.rad2deg([np.arctan2(force[1], force[2]), np.arctan2(-force[0], np.hypot(force[1], force[2]))])
         detail = f"roll {round(roll)} deg, pitch {round(pitch)} deg, alive"
         if max(abs(roll), abs(pitch)) > LARGEST_TILT_DEG:
             raise Failed(f"{detail}; put the robot upright")
         if np.abs(felt - (roll, pitch)).max() > 10:
             raise Failed(
-                f"{detail}, but the accelerometer says {felt[0]:.0f} and {felt[1]:.0f} deg;"
+                f"{detail}, but the accelerometer indicates {felt[0]:.0f} and {felt[1]:.0f} deg;"
                 " keep the robot still, or calibrate OpenCR's IMU"
             )
         return detail
@@ -304,12 +304,12 @@ class StartChecks:
         raise BusError(f"no answer from {silent} to ten readings")
 
     def _all(self, register: str) -> dict[str, int]:
-        """One register of all servos; those missed by the sync read are read singly."""
+        """One register of all servos; servos missed by the sync read are read individually."""
         values = self._bus.sync_read(register)
         return {name: values[name] if name in values else self._bus.read(name, register) for name in self._joints}
 
     def _where(self, register: str, wrong: Callable[[int], bool], shown: Callable[[int], str] = str) -> str:
-        """The servos with a wrong register, each with its value; empty if there are none."""
+        """The servos with a wrong register and its values, as text; empty if there are none."""
         return ", ".join(f"{name} {shown(value)}" for name, value in self._all(register).items() if wrong(value))
 
 

@@ -19,19 +19,19 @@ POLICY_TICKS = 4
 
 
 class Clock(Protocol):
-    """A clock in seconds since a fixed instant, and the only way to wait in this package."""
+    """A clock in seconds since a fixed instant; all waiting in this package uses it."""
 
     def now(self) -> float:
-        """The time [s]; it never goes back."""
+        """The time [s]; it never decreases."""
         ...
 
     def sleep_until(self, time: float) -> None:
-        """Wait until `now` is at least this [s]; return at once if it has passed."""
+        """Wait until `now` is at least this time [s]; return at once if it has passed."""
         ...
 
 
 class MonotonicClock:
-    """The machine's monotonic clock. Waiting gives up the processor; there is no spinning."""
+    """The machine's monotonic clock. Waiting yields the processor instead of spinning."""
 
     def now(self) -> float:
         """Monotonic time [s]."""
@@ -59,7 +59,7 @@ class Timing:
     Attributes:
         ticks: number of ticks that were run.
         misses: number of ticks that were skipped because their time had passed.
-        p50: median lateness [s]; `p99` is exceeded by one tick in a hundred, `max` by none.
+        p50: median lateness [s]; `p99` and `max` are the 99 % quantile and the maximum.
     """
 
     ticks: int = 0
@@ -74,7 +74,7 @@ class Timing:
 
 
 class Ticker:
-    """Deadlines at whole multiples of the period from the first tick on.
+    """Deadlines at integer multiples of the period after the first tick.
 
     Waiting for the next tick never shifts the later ones. Deadlines that passed while a tick ran are skipped and
     counted, so that a slow tick is not followed by a burst of fast ones.
@@ -88,7 +88,7 @@ class Ticker:
         self._lateness = array("d")
 
     def wait(self) -> Tick:
-        """Sleep until the next deadline that has not passed by a period or more."""
+        """Sleep until the next deadline that is not late by a whole period."""
         self._index += 1
         behind = int((self._clock.now() - self._deadline) / PERIOD)
         if behind > 0:

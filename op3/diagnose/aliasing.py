@@ -1,4 +1,4 @@
-"""What logs can show: the smallest size at which an effect would be proposed, and effects with the same signature."""
+"""What given logs reveal: the smallest size at which an effect is proposed, and effects with similar signatures."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,15 +16,15 @@ if TYPE_CHECKING:  # imports this module
     from op3.diagnose.diagnosis import Diagnosis
 
 SIZES = np.geomspace(0.02, 20.0, 60)
-"""Numerical: shares of a secant that are compared."""
+"""Numerical: compared shares of a secant."""
 
 VISIBLE = 0.3
-"""Display: smallest share of an effect's signature that the baseline does not absorb for the effect to be visible."""
+"""Display: an effect is visible if the baseline leaves at least this share of its signature."""
 
 
 def smallest_sizes(stage: NamingStage) -> np.ndarray:
     """Smallest share of each candidate's secant at which its expected log odds reach the alarm, ``[candidate]``;
-    infinite if no plausible size does."""
+    infinite if no plausible size reaches it."""
     priors, settings = stage.judge.priors, stage.judge.settings
     _, curvature = stage.judge.likelihood_terms(stage.fit)
     result = np.full(len(stage.candidates), np.inf)
@@ -37,8 +37,7 @@ def smallest_sizes(stage: NamingStage) -> np.ndarray:
 
 
 def not_shown(stage: NamingStage, joints: Sequence[str]) -> dict[str, list[str]]:
-    """Effects that would not be proposed at any plausible size, with the joints to which this applies; an empty list
-    for effects of all joints."""
+    """Effects that would not be proposed at any plausible size, with the affected joints (empty: all)."""
     visible: dict[Hypothesis, bool] = {}
     for candidate, share in zip(stage.candidates, smallest_sizes(stage), strict=True):
         visible[candidate.hypothesis] = visible.get(candidate.hypothesis, False) or bool(np.isfinite(share))
@@ -54,14 +53,14 @@ def aliasing(diagnosis: "Diagnosis", most: int = 60, *, planned: bool = False) -
     baseline's parameters are projected out.
 
     Args:
-        diagnosis: not run yet; its baseline is fitted and the columns of the catalogue are computed.
+        diagnosis: a diagnosis that has not run; its baseline is fitted and the catalogue's columns computed.
         most: largest number of pairs.
-        planned: whether the logs were simulated by the model, which is then not fitted.
+        planned: whether the model itself simulated the logs, so that no fit is needed.
 
     Returns:
-        ``sentence``; by effect and joint ``visibility`` and ``smallest``, the size at which it would be proposed (None
-        if there is no plausible one); ``hidden``, those below `VISIBLE`, and ``show_by``, the experiment of the
-        catalogue that shows each; ``alike``, pairs with their cosine and the experiment that separates them, the most
+        ``sentence``; by effect and joint ``visibility`` and ``smallest``, the smallest size that would be proposed
+        (None if no plausible size would); ``hidden``, the effects below `VISIBLE`; ``show_by``, the catalogue's
+        experiment that reveals each of them; ``alike``, pairs with their cosine and separating experiment, the most
         similar first.
     """
     stage = diagnosis.first_stage(fitted=not planned)
@@ -79,7 +78,7 @@ def aliasing(diagnosis: "Diagnosis", most: int = 60, *, planned: bool = False) -
     effects = {label: stage.candidates[i].effect for label, i in best.items()}
     pairs, count = _pairs(best, projected, strength, effects, most)
     return {
-        "sentence": f"These logs show {len(best) - len(hidden)} of {len(best)} effects, each in its joints;"
+        "sentence": f"These logs reveal {len(best) - len(hidden)} of {len(best)} effects in at least one joint;"
         f" {count} pairs of effects cannot be distinguished.",
         "visibility": {label: round(float(visibility[i]), 3) for label, i in best.items()},
         "smallest": {label: _size(stage, i, smallest[i]) for label, i in best.items()},

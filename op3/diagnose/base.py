@@ -15,13 +15,13 @@ STEPS, FEW_STEPS = 12, 4
 """Budget: Gauss-Newton steps of the best start, and of every start before the comparison."""
 
 DAMPING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Numerical: dampings that each step compares, as shares of the curvature of each coordinate."""
+"""Numerical: damping factors compared in each step, relative to the curvature of each coordinate."""
 
 SIZE_STEPS = (-1 / 2, -1 / 4, -1 / 8, 1 / 8, 1 / 4, 1 / 2)
 """Numerical: steps in the size of an effect alone, in standard deviations of its prior."""
 
 HELD_DEVIATION = 1e-3
-"""Numerical: share of its prior standard deviation that a clipped coordinate keeps, so that it stays at its bound."""
+"""Numerical: factor on the prior standard deviation of a clipped coordinate, which keeps it at its bound."""
 
 QUANTILE = 1.645
 """Numerical: half width of a 90 % interval in standard deviations."""
@@ -32,12 +32,12 @@ CONVERGED = 8.0
 
 @dataclass(frozen=True, eq=False)
 class LocalOptimum:
-    """End of one start of the baseline fit.
+    """Result of the baseline fit from one start.
 
     Attributes:
         coordinates: fitted parameters, with the forms of the laws.
         point: fitted values, ``[coordinate]``.
-        gain: -2 log evidence of the first start minus its own.
+        gain: -2 log evidence of the first start minus that of this start.
     """
 
     coordinates: Coordinates
@@ -50,9 +50,9 @@ class Baseline:
     """A fitted baseline.
 
     Attributes:
-        linear: linearisation about the fitted point, or about the point before it was clipped.
+        linear: linearisation about the fitted point, or about the point before clipping.
         fit: posterior of the linear model without candidates.
-        other_optima: ends of other starts.
+        other_optima: results of the other starts.
     """
 
     linear: Linearisation
@@ -93,16 +93,16 @@ class Baseline:
 
 
 def step_priors(coordinates: Coordinates, point: np.ndarray) -> CoefficientPriors:
-    """Priors of the coordinates as steps from a point."""
+    """Priors of the coordinates, expressed as steps from a point."""
     lower, upper = coordinates.low - point, coordinates.high - point
     return CoefficientPriors(coordinates.prior - point, coordinates.deviation_at(point), lower=lower, upper=upper)
 
 
 def within_sound_spread(reduction: Reduction, base: Baseline) -> Baseline:
-    """The baseline with every servo clipped to the spread of a sound robot.
+    """The baseline with the deviations of every servo clipped to the spread of a sound robot.
 
-    The residual changes to first order only and the variances are kept: near a joint that sticks, no linearisation
-    predicts the effect of the clipped difference, and new variances would treat all of it as noise.
+    The residual is updated to first order and the variances are kept: near a sticking joint no linearisation predicts
+    the effect of the clipped difference, and new variances would treat all of it as noise.
     """
     coordinates = with_sound_spread(base.coordinates, reduction.settings)
     step = np.clip(base.point, coordinates.low, coordinates.high) - base.point
@@ -117,8 +117,8 @@ def within_sound_spread(reduction: Reduction, base: Baseline) -> Baseline:
 def evidence_gain(reduction: Reduction, base: Baseline, other: Baseline) -> float:
     """-2 log evidence of one baseline minus that of another, averaged over both baselines' reductions.
 
-    Each keeps its own variances, as the other's weights hide what it cannot explain, and the Jacobian of the reduction,
-    which matters little at an optimum.
+    Each baseline keeps its own variances, because the weights of the other would hide its misfit. It also keeps the
+    Jacobian of the reduction, which has little influence at an optimum.
     """
     gain = 0.0
     for reference in (base, other):
@@ -134,7 +134,7 @@ def evidence_gain(reduction: Reduction, base: Baseline, other: Baseline) -> floa
 
 
 def unfitted(reduction: Reduction, model: RobotModel) -> Baseline:
-    """The given model as a baseline without a fit, for logs that it simulated itself."""
+    """The given model as an unfitted baseline, for logs that it simulated itself."""
     coordinates = base_coordinates(with_chain(model), reduction.engine.joints, reduction.moving)
     parameters = model.parameters()
     values = [
@@ -156,12 +156,12 @@ def gauss_newton(
 
     Args:
         reduction: windows of the fitted runs.
-        coordinates: what is fitted.
+        coordinates: the fitted parameters.
         point: initial values, ``[coordinate]``.
         steps: largest number of steps.
         variances: initial variances.
-        reference: linearisation whose reduction is used, so that evidences are comparable, and whose Jacobian of the
-            coordinates in common, which matters little at an optimum.
+        reference: linearisation whose reduction is used, which makes evidences comparable. Its Jacobian of the shared
+            coordinates is used too, with little influence at an optimum.
     """
     point, linear = np.clip(point, coordinates.low, coordinates.high), None
     number, done = 0, steps == 0
@@ -187,15 +187,15 @@ def gauss_newton(
 
 
 def refitted_in_bounds(reduction: Reduction, base: Baseline) -> Baseline:
-    """The baseline fitted from its clipped point, as the other coordinates have not followed the clipped ones."""
+    """The baseline refitted from its clipped point, to adapt the other coordinates to the clipped ones."""
     fitted = gauss_newton(reduction, base.coordinates, base.point, variances=base.fit.variances)
     return replace(fitted, other_optima=base.other_optima)
 
 
 def damped_steps(fit: Posterior, priors: CoefficientPriors) -> np.ndarray:
-    """Levenberg-Marquardt steps ``[damping, coordinate]``, without coordinates that would leave their bounds.
+    """Levenberg-Marquardt steps ``[damping, coordinate]``; coordinates that would leave their bounds are held.
 
-    Where joints stick, poorly identified coordinates give wrong steps; damping shortens these more than others.
+    If joints stick, the steps of poorly identified coordinates are wrong; damping shortens these steps most.
     """
     gradient = fit.precision @ fit.mean
     free = np.flatnonzero(~((priors.lower >= 0) & (gradient < 0) | (priors.upper <= 0) & (gradient > 0)))
@@ -206,7 +206,7 @@ def damped_steps(fit: Posterior, priors: CoefficientPriors) -> np.ndarray:
 
 
 def size_steps(coordinates: Coordinates) -> np.ndarray:
-    """Steps ``[step, coordinate]`` in the size of one effect alone: where joints stick or backlash is crossed,
+    """Steps ``[step, coordinate]`` that change only the size of one effect: if joints stick or cross backlash,
     linearised steps in all coordinates miss the best size."""
     sizes = [i for i, entry in enumerate(coordinates.entries) if entry.kind == "add"]
     return np.concatenate([share * np.diag(coordinates.deviation)[sizes] for share in SIZE_STEPS])
@@ -220,8 +220,7 @@ def posterior_costs(
     coordinates: Coordinates,
     points: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """-2 log posterior (without constants) of simulated points under a fit's variances, ``[point]``, and the points
-    clipped to their bounds."""
+    """-2 log posterior of points under a fit's variances, without constants, ``[point]``, and the clipped points."""
     points = np.clip(points, coordinates.low, coordinates.high)
     residuals = -reduction.reduce(linear.reducers, reduction.errors_at(coordinates, points))
     valid = np.isfinite(judge.rows.variance)
@@ -230,7 +229,7 @@ def posterior_costs(
 
 
 def model_at(coordinates: Coordinates, point: np.ndarray, deviation: np.ndarray | None = None) -> RobotModel:
-    """The model at a point; with standard deviations ``[coordinate]``, shared parameters get 90 % intervals."""
+    """The model at a point; standard deviations ``[coordinate]`` add 90 % intervals to shared parameters."""
     model, joints, values = coordinates.model, coordinates.joints, {}
     halves: dict[str, float] = {}
     for i, entry in enumerate(coordinates.entries):

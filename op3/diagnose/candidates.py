@@ -1,4 +1,4 @@
-"""Candidates: every effect of the catalogue in every set of joints in which it can act, as finite changes."""
+"""Candidates: finite changes by every effect of the catalogue in every set of joints in which it can act."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,23 +14,23 @@ from op3.servo import Effect, Parameter, RobotModel, catalogue
 from op3.servo.effect import parameter
 
 SCOPE_PRIORS = {"shared": 0.5, "joint": 0.35, "pair": 0.1, "side": 0.05}
-"""Prior probabilities that a fault is in all joints, in one, in a mirror pair, or on one side."""
+"""Prior probabilities that a fault affects all joints, one joint, a mirror pair, or one side."""
 
 Hypothesis = tuple[str, tuple[int, ...] | None]
-"""Effect and columns of its joints; None: all joints, or the whole robot."""
+"""Effect and joint columns; None: all joints, or the whole robot."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One finite change of one effect in some joints.
+    """A finite change by one effect in a set of joints.
 
     Attributes:
-        effect: its class.
+        effect: class of the effect.
         joints: columns of the joints; None: all joints with the same value, or the whole robot.
         scope: key of `SCOPE_PRIORS`.
-        model: the baseline's model with the effect on, at its neutral values.
-        secant: changes by parameter name.
-        mirror_secant: changes in the second joint of a pair, whose angles are mirrored; None: the same.
+        model: the baseline's model with the effect switched on at its neutral values.
+        secant: parameter changes by name.
+        mirror_secant: changes in the second joint of a pair, whose angles are mirrored; None: as in the first.
     """
 
     effect: type[Effect]
@@ -42,7 +42,7 @@ class Candidate:
 
     @property
     def hypothesis(self) -> Hypothesis:
-        """Effect and joints; its candidates are different secants, or forms of the law."""
+        """Effect and joints, shared by candidates with different secants or forms of the law."""
         return self.effect.name, self.joints
 
     @property
@@ -55,7 +55,7 @@ class Candidate:
         return self.effect.name, tuple(sorted(secant.items())), form
 
     def secants(self) -> list[Mapping[str, float]]:
-        """Changes in each of its joints."""
+        """Parameter changes in each of its joints."""
         count = len(self.joints or ())
         return [self.secant] * count if self.mirror_secant is None else [self.secant, self.mirror_secant]
 
@@ -66,7 +66,7 @@ class Candidate:
 
     @property
     def components(self) -> tuple[tuple, ...]:
-        """Keys of the elementary candidates whose columns add up to its own: of a pair or a side one per joint."""
+        """Keys of the elementary candidates whose columns add up to this one; a pair or a side has one per joint."""
         if self.scope in ("pair", "side"):
             return tuple(
                 ((joint,), self._variant(secant))
@@ -101,8 +101,8 @@ class Candidate:
     def size_range(self, base: RobotModel, settings: Settings) -> tuple[float, float, float]:
         """Smallest and largest plausible share of the secant, and the standard deviation of the slab.
 
-        The range of a fault is the catalogue's range times `fault_factor`, within the physical limits. Of an effect
-        that the baseline includes, a joint may have several times the baseline's value.
+        The range of a fault is the catalogue's range times `fault_factor`, within the physical limits. If the baseline
+        includes the effect, a joint may have several times the baseline's value.
         """
         p = parameter(self.size_parameter)
         amount = self.secant[p.name]
@@ -122,8 +122,8 @@ class Candidate:
     def coordinates(
         self, model: RobotModel, base: Sequence[Coordinate], share: float, settings: Settings
     ) -> tuple[Coordinate, ...]:
-        """The coordinates of a refit beside the baseline's: the effect's size, from a share of the secant, and the
-        parameters without a neutral value (shape), from the secant's values, where the baseline does not fit them."""
+        """Coordinates that a refit adds to the baseline: the effect's size, initially a share of the secant, and its
+        shape (parameters without a neutral value), initially that of the secant, unless the baseline fits the shape."""
         low, high, deviation = self.size_range(model, settings)
         amount = self.secant[self.size_parameter]
         joints = self.joints if parameter(self.size_parameter).per_joint else None
@@ -136,7 +136,7 @@ class Candidate:
         return size, *(coordinate for p in shape for coordinate in self._shape_coordinates(p, model))
 
     def _shape_coordinates(self, p: Parameter, model: RobotModel) -> Iterator[Coordinate]:
-        """Coordinates of a shape parameter over its whole range; of an angle over one turn."""
+        """Coordinates of a shape parameter over its whole range, or over one turn for an angle."""
         span = p.high - p.low
         by_joint = list(zip(((j,) for j in self.joints or ()), self.secants(), strict=True)) if p.per_joint else []
         for joints, secant in by_joint or [(None, self.secant)]:
@@ -146,7 +146,7 @@ class Candidate:
             yield Coordinate(p.name, joints, low, high, start, start, span)
 
     def switched_on(self, base: RobotModel, names: Sequence[str]) -> RobotModel:
-        """The baseline's model with the effect on, its size neutral and its shape that of the secant."""
+        """The baseline's model with the effect on, with a neutral size and the secant's shape."""
         effect = self.model.effect(self.effect.name)
         values = {p.name: self.model.estimate(p.name) for p in effect.parameters}
         if self.effect.name in base.effect_names:
@@ -166,15 +166,15 @@ def all_candidates(
     mirror: Mapping[str, tuple[str, int]],
     without: Sequence[str] = (),
 ) -> list[Candidate]:
-    """Every effect of the catalogue that logs of a robot with a held base could show, in all sets of joints.
+    """Every effect of the catalogue that logs of a robot with a held base can reveal, in all sets of joints.
 
-    What the baseline fits is no candidate: the measurement chain, and shared values of its own effects.
+    Parameters that the baseline fits are not candidates: the measurement chain, and shared values of its effects.
 
     Args:
         model: the baseline's model.
         joints: joint names.
         moving: which joints move.
-        mirror: joint on the other side and sign of its angle, by joint.
+        mirror: mirror joint and the sign of its angle, by joint.
         without: effects that are not considered.
     """
     result: list[Candidate] = []
@@ -197,7 +197,7 @@ def all_candidates(
 
 
 def _observable(effect: type[Effect], model: RobotModel) -> bool:
-    """Whether a robot with a held base and this drive could show an effect."""
+    """Whether logs of a robot with a held base and this drive can reveal an effect."""
     if not effect.secants or not effect.foreseeable or effect.free_base:
         return False
     if any(e.target in ("base_body", "ground_geom", "option") for e in effect.edits):
@@ -207,7 +207,7 @@ def _observable(effect: type[Effect], model: RobotModel) -> bool:
 
 
 def _secants(effect: type[Effect], on: bool) -> list[dict[str, float]]:
-    """An effect's secants without parameters of other effects, and without its shape if the model includes it."""
+    """An effect's secants without parameters of other effects; without its shape if the model includes the effect."""
     names = {p.name for p in effect.parameters if not (on and p.neutral is None)}
     result: list[dict[str, float]] = []
     for full in effect.secants:
@@ -218,7 +218,7 @@ def _secants(effect: type[Effect], on: bool) -> list[dict[str, float]]:
 
 
 def _mirrored(effect: type[Effect], secant: Mapping[str, float]) -> dict[str, float]:
-    """The secant with each angle replaced by that of the effect's secants nearest to its mirror image."""
+    """The secant with each angle replaced by the nearest angle among the effect's secants to its mirror image."""
 
     def image(name: str, value: float) -> float:
         if not parameter(name).mirrored:
@@ -235,7 +235,7 @@ def _scopes(
     moving: Sequence[bool],
     mirror: Mapping[str, tuple[str, int]],
 ) -> Iterator[tuple[str, tuple[int, ...] | None]]:
-    """Scopes and columns of the joints in which an effect can act."""
+    """Scopes and joint columns in which an effect can act."""
     of_motor = "motor" in model.effect_names and effect.name in ("torque_constant", "terminal_resistance")
     refitted = effect.name in model.effect_names or of_motor
     scopes = set(effect.scopes)
@@ -258,7 +258,7 @@ def _scopes(
 def mirror_pairs(
     joints: Sequence[str], moving: Sequence[bool], mirror: Mapping[str, tuple[str, int]]
 ) -> list[tuple[int, int]]:
-    """Columns of moving joints and their mirror joints, each pair once, the alphabetically first side first."""
+    """Columns of moving joints and their mirror joints; each pair occurs once, the alphabetically first side first."""
     column = {joint: j for j, joint in enumerate(joints) if moving[j]}
     pairs = {
         (joint, other) for joint in column if (other := mirror.get(joint, (joint, 1))[0]) in column and other > joint
@@ -267,8 +267,8 @@ def mirror_pairs(
 
 
 def log_priors(candidates: Sequence[Candidate]) -> np.ndarray:
-    """Log prior of each candidate's hypothesis, ``[candidate]``: that of its scope, divided by the number of its
-    sets of joints, and halved for every size parameter after the first."""
+    """Log prior of each candidate's hypothesis, ``[candidate]``: the prior of its scope divided by the number of joint
+    sets of that scope, and halved for every size parameter after the first."""
     joints: dict[str, set] = {}
     for candidate in candidates:
         joints.setdefault(candidate.scope, set()).add(candidate.joints)
@@ -279,7 +279,7 @@ def log_priors(candidates: Sequence[Candidate]) -> np.ndarray:
 
 
 def elementary(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates that are no sums of others."""
+    """Candidates that are not sums of other candidates."""
     return [candidate for candidate in candidates if candidate.components == (candidate.key,)]
 
 

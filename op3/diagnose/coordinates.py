@@ -1,4 +1,4 @@
-"""Parameters of the baseline fit with their priors: shared parameters, the spread between servos, measurement chain."""
+"""Parameters of the baseline fit with priors: shared parameters, differences between servos, measurement chain."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -16,13 +16,13 @@ from op3.servo.conditions import Condition, split_name
 from op3.servo.effects import LinkInertia
 
 SPREAD_LIMIT = 3.0
-"""Normal standard deviations by which a servo of a sound robot may differ; a larger difference must be explained by a
-candidate. With few servos the corresponding quantile of Student's distribution applies."""
+"""Standard deviations by which a servo of a sound robot may differ from the others; a candidate must explain a larger
+difference. With few servos the corresponding quantile of Student's distribution applies."""
 
 WIDEST = 10.0
-"""Largest ratio between a fitted parameter outside the catalogue's range and its given value. Numerical: hobby servos
-differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m at stall, ROBOTIS e-Manual), but the given model describes a
-similar servo. The search starts at the lower end."""
+"""Largest ratio between a fitted parameter and its given value if that is outside the catalogue's range. Numerical:
+hobby servos differ by more (XL330-M288 and MX-106: 0.52 and 8.4 N m at stall, ROBOTIS e-Manual), but the given model
+should describe a similar servo. The search starts at the lower end."""
 
 _USUAL = {name: usual for effect in catalogue().values() for name, usual in effect.usual.items()}
 
@@ -36,7 +36,7 @@ SPREAD: Mapping[str, float] = {name: share for e in catalogue().values() for nam
 """Standard deviation of parameters between servos of one make, relative to the shared value."""
 
 CHAIN_SPREAD: Mapping[str, float] = {name: usual.spread for name, usual in CHAIN.items() if usual.own}
-"""Standard deviation of the chain's parameters that each servo has separately, such as the zero of a current sensor."""
+"""Standard deviation of the measurement chain's parameters with one value per servo, such as current zeros."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Coordinate:
 
     Attributes:
         parameter: name in the model.
-        joints: columns of the joints that it changes; None: all joints have the same value.
+        joints: columns of the joints that the parameter changes; None: all joints have the same value.
         low: lower bound.
         high: upper bound.
         start: initial value.
@@ -80,10 +80,10 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The fitted parameters and how they set the parameters of a model.
+    """The fitted parameters and their mapping to the parameters of a model.
 
     Attributes:
-        model: the model, which supplies everything that is not fitted.
+        model: the model with the values of all parameters that are not fitted.
         joints: joint names.
         entries: the fitted parameters.
     """
@@ -144,7 +144,7 @@ class Coordinates:
         return {name: value.clamp(limits[name].least, limits[name].most) for name, value in result.items()}
 
     def extended(self, model: RobotModel, entries: Sequence[Coordinate]) -> "Coordinates":
-        """These coordinates followed by further ones, for a model with more effects."""
+        """These coordinates followed by others, for a model with more effects."""
         return Coordinates(model, self.joints, (*self.entries, *entries))
 
 
@@ -166,7 +166,7 @@ def with_chain(model: RobotModel) -> RobotModel:
 
 
 def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
-    """The model with the inertia of a bench's weight, and one encoder offset per arm, as each arm is mounted anew."""
+    """The model with the inertia of a bench's weight and one encoder offset per arm, because arms are remounted."""
     if lengths and "link_inertia" not in model.effect_names:
         model = model.with_effect(LinkInertia(), {name: usual.value for name, usual in BENCH.items()})
     if "encoder_offset" not in model.effect_names or len(set(lengths)) < 2:
@@ -176,7 +176,7 @@ def with_setups(model: RobotModel, lengths: Sequence[float]) -> RobotModel:
 
 
 def other_forms(model: RobotModel, selected: Callable[[type[Effect]], bool] = lambda effect: True) -> list[RobotModel]:
-    """The model with every other combination of the forms of its laws, or of those of the selected effects."""
+    """The model with every other combination of the forms of its laws, or only of the selected effects' laws."""
     result = [model]
     for effect in (effect for effect in model.effects if selected(type(effect))):
         values = {p.name: model.estimate(p.name) for p in effect.parameters}
@@ -189,15 +189,15 @@ def other_forms(model: RobotModel, selected: Callable[[type[Effect]], bool] = la
 def base_coordinates(
     model: RobotModel, joints: Sequence[str], moving: Sequence[bool] | None = None, priors: Mapping[str, Usual] = CHAIN
 ) -> Coordinates:
-    """The coordinates of a baseline fit: the model's parameters, the spread between servos, the measurement chain.
+    """The coordinates of a baseline fit: the model's parameters, the differences between servos, the measurement chain.
 
-    Not fitted are the forward efficiency of a current-driven servo, which is not distinguishable from the torque
-    constant, masses of a base that is held, and the firmware gain, which is known.
+    Three kinds of parameters are not fitted: the forward efficiency of a current-driven servo, which is not
+    distinguishable from the torque constant; masses of a held base; and the firmware gain, which is known.
 
     Args:
         model: the model with its measurement chain.
         joints: joint names.
-        moving: which joints move; the others get no coordinates of their own.
+        moving: which joints move; the others have no separate coordinates.
         priors: prior by parameter name, where one exists.
     """
     moving = [True] * len(joints) if moving is None else moving
@@ -232,13 +232,13 @@ def base_coordinates(
 
 
 def robust_spread(values: np.ndarray, deviations: np.ndarray, usual: float, settings: Settings) -> float:
-    """Standard deviation between the servos of this robot: the typical spread of any make would hide a fault.
+    """Standard deviation between the servos of this robot; a make's larger spread would hide a fault.
 
     A median, which one faulty servo does not change, combined with a log-normal prior about the usual spread.
 
     Args:
         values: values of the servos, ``[servo]``.
-        deviations: their posterior standard deviations, which count as possible differences, ``[servo]``.
+        deviations: posterior standard deviations of the values, which count as possible differences, ``[servo]``.
         usual: usual spread between servos of one make.
     """
     spread = np.sqrt(np.median(np.square((values - np.median(values)) / norm.ppf(0.75)) + np.square(deviations)))
@@ -249,13 +249,13 @@ def robust_spread(values: np.ndarray, deviations: np.ndarray, usual: float, sett
 def with_robot_spread(
     coordinates: Coordinates, point: np.ndarray, deviations: np.ndarray, settings: Settings
 ) -> tuple[Coordinates, np.ndarray]:
-    """The coordinates with priors of this robot's spread between servos, and the point that describes the same model.
+    """The coordinates with priors from this robot's spread between servos, and the point that gives the same model.
 
-    The median of the servos' deviations is moved to the shared parameter.
+    The shared parameter absorbs the median of the servos' deviations.
 
     Args:
         point: fitted values, ``[coordinate]``.
-        deviations: their posterior standard deviations, ``[coordinate]``.
+        deviations: posterior standard deviations, ``[coordinate]``.
     """
     entries, point = list(coordinates.entries), point.copy()
     for name, usual in {**SPREAD, **CHAIN_SPREAD}.items():
@@ -291,8 +291,8 @@ def with_student_spread(coordinates: Coordinates, tails: float) -> Coordinates:
 def with_sound_spread(coordinates: Coordinates, settings: Settings) -> Coordinates:
     """Priors and bounds of a sound robot for the deviations of servos: a larger deviation is a fault.
 
-    The spread is estimated from few servos, so that another servo of a sound robot is expected with Student's
-    distribution, whose degrees of freedom are the servos and what the prior of the spread counts for.
+    The spread is estimated from few servos, so deviations of sound servos follow Student's distribution. Its degrees of
+    freedom are the number of servos plus the weight of the spread's prior.
     """
     servos = Counter(entry.parameter for entry in coordinates.entries if entry.per_servo)
 
@@ -307,7 +307,7 @@ def with_sound_spread(coordinates: Coordinates, settings: Settings) -> Coordinat
 
 
 def _bounds(p: Parameter, value: float) -> tuple[float, float]:
-    """Bounds of a parameter: the catalogue's range widened by a quarter, or a range around a value outside of it."""
+    """Bounds of a parameter: the catalogue's range widened by a quarter, or a range around a value outside it."""
     if p.low <= value <= p.high:
         margin = 0.25 * (p.high - p.low)
         low = p.low - margin if p.neutral is None else min(p.low - margin, p.neutral)
@@ -319,7 +319,7 @@ def _bounds(p: Parameter, value: float) -> tuple[float, float]:
 
 
 def _common_factor(p: Parameter, values: np.ndarray) -> list[Coordinate]:
-    """One factor for values that differ between joints, so that joints without the effect remain without it.
+    """A common factor on values that differ between joints, so that joints without the effect remain without it.
 
     Parameters without a neutral value, such as a phase, are not fitted.
     """

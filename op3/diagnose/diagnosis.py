@@ -1,4 +1,4 @@
-"""The diagnosis from logs to verdict: windows, baseline fit, findings one after another, gap in held-out runs."""
+"""The diagnosis from logs to verdict: windows, baseline fit, findings in turn, gap in held-out runs."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -32,10 +32,10 @@ from op3.servo import RobotModel, catalogue
 from op3.servo.conditions import split_name
 
 SHORTEST = 15.0
-"""Total duration of the fitted runs below which no finding is likely [s]."""
+"""Total duration of the fitted runs below which no finding is called likely [s]."""
 
 ON_ITS_FEET = (
-    "No effects are named from logs of a robot on the floor, because contacts hide its servos' torques: record it on a"
+    "No effects are named from logs of a robot on the floor, because contacts hide the servos' torques: record it on a"
     " stand, with all joints moving."
 )
 STILL = "No joint moves in the fitted runs: move every joint through slow triangles and fast sines."
@@ -48,14 +48,14 @@ RANKED = 15
 """Display: candidates that a verdict lists."""
 
 STAGES = {"windows": 0.05, "baseline fit": 0.4, "candidates": 0.45, "held-out runs": 0.1}
-"""Display: typical shares of the time."""
+"""Display: typical shares of the run time."""
 
 
 class Diagnosis:
     """Finds the effects that a model does not include from logs.
 
     Args:
-        model: effects that are on, and the values from which the baseline fit starts.
+        model: active effects, and the initial values of the baseline fit.
         split: logs of one mount.
         seed: seed of the search and of resampling.
         without: names of effects that are not considered.
@@ -88,7 +88,7 @@ class Diagnosis:
     def run(self, rounds: int = 1) -> Verdict:
         """Diagnose; with several rounds, repeat from the returned model until nothing more is found.
 
-        Linear algebra uses one thread: for its small matrices a second thread would only wait.
+        Linear algebra uses one thread, because a second thread does not help with small matrices.
         """
         with threadpool_limits(1):
             verdict = self._once(self.given)
@@ -144,7 +144,7 @@ class Diagnosis:
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
-        """Add the processor time of a block to a stage."""
+        """Add the processor time of a code block to a stage."""
         began = time.process_time()
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - began
@@ -167,7 +167,9 @@ class Diagnosis:
         )
         baseline = model_at(base.coordinates, before)
         deviation = np.sqrt(np.diag(last.fit.covariance))[: len(after)]
-        deviation = np.hypot(deviation, after - last.base.point)  # difference between windows and whole runs
+        deviation = np.hypot(
+            deviation, after - last.base.point
+        )  # includes the difference between windows and whole runs
         returned = model_at(last.base.coordinates, after, deviation)
         findings = [*self._named(reduction, last), *self._of_base(given, reduction, last)]
         shown = show(baseline, returned, self.split, self.seed, given)
@@ -198,7 +200,7 @@ class Diagnosis:
         still = [joint for joint, moves in zip(reduction.engine.joints, reduction.moving, strict=True) if not moves]
         if self.search is not None and self.search.held_out.in_time:
             said.append(
-                "There are too few runs, so the logs were cut in time instead: errors on other motions may be larger."
+                "There are too few runs, so the end of each log is held out: errors on other motions may be larger."
             )
         if still:
             said.append(
@@ -211,7 +213,7 @@ class Diagnosis:
         return tuple(said)
 
     def _probability(self, z: float) -> float:
-        """Probability of a finding by its held-out gain in standard errors; for short logs at most one half."""
+        """Probability of a finding from its held-out gain in standard errors; at most one half for short logs."""
         s = self.settings
         most = LIKELY if self._short else 1.0
         return min(most, float(1.0 / (1.0 + np.exp(-s.steepness * (z - s.threshold)))))
@@ -223,7 +225,7 @@ class Diagnosis:
         return [self._finding(reduction, stage, *pair) for pair in zip(stage.named, opened, strict=True)]
 
     def _finding(self, reduction: Reduction, stage: NamingStage, effect: NamedEffect, opened: float | None) -> Finding:
-        """A finding from a named effect, which shares its probability with its rivals."""
+        """A finding from a named effect, whose probability is shared with its alternatives."""
         joints, base, candidate = reduction.engine.joints, stage.base, effect.candidate
         entries = base.coordinates.entries
         i = entries.index(effect.coordinates[0])
@@ -234,7 +236,7 @@ class Diagnosis:
             for rival, probability in zip(effect.rivals, share[1:].tolist(), strict=True)
         )
         p = candidate.model.parameters()[entries[i].parameter]
-        # together with the baseline's own coordinate of the same parameter and joints
+        # includes the baseline's coordinate of the same parameter and joints
         same = [
             k
             for k, entry in enumerate(entries)
@@ -262,7 +264,7 @@ class Diagnosis:
         )
 
     def _of_base(self, given: RobotModel, reduction: Reduction, stage: NamingStage) -> list[Finding]:
-        """Findings about the measurement chain: values far from the usual ones or from those of the given model."""
+        """Findings about the measurement chain: values far from usual or from the given model."""
         result, joints = [], reduction.engine.joints
         assert self.search is not None
         base, rows = stage.base, stage.judge.rows
@@ -315,6 +317,6 @@ class Diagnosis:
 
 
 def _place(candidate: Candidate, joints: Sequence[str]) -> tuple[str, tuple[str, ...], bool]:
-    """Effect, names of its joints, and whether these are all."""
+    """Effect, names of its joints, and whether these are all joints."""
     names = joints if candidate.joints is None else [joints[j] for j in candidate.joints]
     return candidate.effect.name, tuple(names), candidate.joints is None

@@ -1,6 +1,6 @@
 """Doubts about a baseline fit, and unusual parameters of the measurement chain.
 
-Doubts are parameters at a bound and other optima with nearly the same evidence. Parameters that are not identifiable
+A doubt is a parameter at a bound or another optimum with nearly the same evidence. Parameters that are not identifiable
 from the logs are listed separately.
 """
 
@@ -18,15 +18,15 @@ from op3.servo import RobotModel
 from op3.servo.conditions import split_name
 
 EQUAL_EVIDENCE, DIFFERENT = 20.0, 0.15
-"""Display: difference in -2 log evidence below which two optima are equally good, and in a shared parameter, as a share
-of its range, above which they differ."""
+"""Display: two optima are equally good below this difference in -2 log evidence, and differ above this difference in a
+shared parameter, as a share of its range."""
 
 UNIDENTIFIABLE = 0.8
 """Display: ratio of posterior to prior standard deviation above which a shared parameter is not identifiable."""
 
 
 def at_bound(base: Baseline) -> list[Coordinate]:
-    """Identifiable shared parameters that ended at a bound which is not a physical limit."""
+    """Identifiable shared parameters that ended at a bound other than a physical limit."""
     result, parameters = [], base.coordinates.model.parameters()
     ignored = set(unidentifiable(base))
     for entry, value in zip(base.coordinates.entries, base.point, strict=True):
@@ -39,7 +39,7 @@ def at_bound(base: Baseline) -> list[Coordinate]:
 
 
 def with_wider_bounds(base: Baseline, entries: Sequence[Coordinate]) -> Coordinates:
-    """The baseline's coordinates, the range of some of them three times as wide, within the physical limits."""
+    """The baseline's coordinates, some of them with ranges three times as wide within the physical limits."""
     parameters = base.coordinates.model.parameters()
 
     def wider(entry: Coordinate) -> Coordinate:
@@ -73,7 +73,7 @@ def different(coordinates: Coordinates, point: np.ndarray, other: np.ndarray) ->
 
 
 def unidentifiable(base: Baseline) -> list[str]:
-    """Shared parameters with an influence on the residual whose posterior is hardly narrower than the prior."""
+    """Shared parameters that influence the residual but have a posterior hardly narrower than the prior."""
     ratio = np.sqrt(np.diag(base.fit.covariance)) / base.coordinates.deviation * base.linear.jacobian.any((1, 2, 3))
     pairs = zip(base.coordinates.entries, ratio, strict=True)
     return [entry.parameter for entry, r in pairs if entry.joints is None and r > UNIDENTIFIABLE]
@@ -85,7 +85,7 @@ class ChainDeviation:
 
     Attributes:
         index: index of the baseline's coordinate.
-        log_odds: against the expected value.
+        log_odds: log odds against the expected value.
         deviation: standard deviation of the value in the logs.
         expected: the coordinate with the bounds and the prior of the expected value.
     """
@@ -99,11 +99,11 @@ class ChainDeviation:
 def chain_deviations(given: RobotModel, base: Baseline) -> list[ChainDeviation]:
     """Deviations of the chain's shared parameters from the given model's values, or from the usual ones.
 
-    Computed with the baseline alone, as many small candidates together can imitate such a parameter.
+    Computed without candidates, because many small candidates together can imitate such a parameter.
     """
     priors, variance = step_priors(base.coordinates, base.point), np.diag(base.fit.covariance)
     prior = 1.0 / priors.deviation**2
-    # likelihood of the rows alone, all else integrated out: exp(linear a - curvature a^2 / 2)
+    # likelihood of the rows, all other parameters integrated out: exp(linear a - curvature a^2 / 2)
     linear, curvature = base.fit.mean / variance - prior * priors.mean, np.maximum(1.0 / variance - prior, 1e-12)
     parameters, result, point = given.parameters(), [], base.point
     for i, entry in enumerate(base.coordinates.entries):
@@ -126,10 +126,10 @@ def chain_deviations(given: RobotModel, base: Baseline) -> list[ChainDeviation]:
 def free_and_expected(
     reduction: Reduction, base: Baseline, index: int, expected: Coordinate
 ) -> tuple[Baseline, Baseline]:
-    """The baseline with a coordinate free, and with the coordinate near its expected value, all else refitted.
+    """The baseline refitted with a free coordinate, and refitted with the coordinate near its expected value.
 
-    Where joints stick, other coordinates may have taken its place: with the expected value the fit starts from the
-    baseline's point and from the expected value, and with the free coordinate also from the better of these ends.
+    If joints stick, other coordinates may have absorbed its influence. The constrained fit therefore starts from the
+    baseline's point and from the expected value, and the free fit also from the better of these results.
     """
     entries, point = list(base.coordinates.entries), base.point.copy()
     entries[index], point[index] = expected, expected.prior

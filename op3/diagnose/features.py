@@ -1,4 +1,4 @@
-"""Features of the motion of joints: the unmodelled torque of a joint is a linear combination of them."""
+"""Features of joint motion, whose linear combination models the unmodelled torque of a joint."""
 
 import numpy as np
 from scipy import linalg
@@ -12,12 +12,12 @@ INPUT_WEIGHTS = np.array([3, 3, 3, 3, 2, 1, 1.0])
 times velocity, temperature and time."""
 
 SWAY = (0.2, 0.005)
-"""Uncertainty of the torque from the stand's sway: a relative error, because the pivot of the stand is unknown, and a
-time [s], because the gyro's filter is unknown. Data sheet: register map of the MPU-9250, 1 to 18 ms."""
+"""Uncertainty of the torque that the stand's sway causes: a relative error for the unknown pivot of the stand, and a
+time [s] for the gyro's unknown filter. Data sheet: register map of the MPU-9250, 1 to 18 ms."""
 
 ESTIMATE = (0.01, 0.001, 1e-5)
-"""Uncertainty of the servo's velocity estimate: relative, in time [s], and in squared time [s^2]. Numerical: firmware
-that runs in steps of a millisecond, and three of these."""
+"""Uncertainty of the servo's velocity estimate: relative, in time [s], and in squared time [s^2]. Numerical: one and
+three milliseconds, because firmware runs in steps of a millisecond."""
 
 
 def features(engine: WindowResiduals, joints: np.ndarray, torque_unit: float, settings: Settings) -> np.ndarray:
@@ -49,7 +49,8 @@ def features(engine: WindowResiduals, joints: np.ndarray, torque_unit: float, se
 
 
 def _rows(weights: np.ndarray, features: np.ndarray) -> np.ndarray:
-    """Mean and differences of pieces, by weights ``[piece, tick]``, of features ``[feature, window, tick, joint]``."""
+    """Means and differences over pieces, with weights ``[piece, tick]``, of features ``[feature, window, tick,
+    joint]``."""
     pieces = np.einsum("pt,fwtj->jwpf", weights, features)
     return np.einsum("rp,jwpf->jwrf", linalg.helmert(len(weights), full=True), pieces)
 

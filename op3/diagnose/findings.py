@@ -1,4 +1,4 @@
-"""The search for findings: in-sample evidence proposes candidates, the predictions of left-out runs decide."""
+"""The search for findings: in-sample evidence proposes candidates, and predictions of left-out runs decide."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,14 +24,14 @@ STARTS = 2
 """Budget: forms and secants of one hypothesis that are refitted."""
 
 RELINEARISED = 60
-"""Budget: candidates whose columns are computed again around a named effect, the best first."""
+"""Budget: number of best candidates whose columns are recomputed around a named effect."""
 
 SIZES = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
-"""Numerical: initial sizes of a refit as shares of the smallest and the largest plausible size."""
+"""Numerical: initial sizes of a refit, relative to the smallest and the largest plausible size."""
 
 
 class Search:
-    """Search for effects that a baseline does not include.
+    """Searches for effects that a baseline does not include.
 
     Args:
         reduction: windows of the fitted runs.
@@ -50,12 +50,12 @@ class Search:
         """The linear model around a baseline with no effect named."""
         candidates = self._candidates(base)
         columns = self._columns(base, elementary(candidates), lambda share: self.progress(0.4 * share))
-        if base.clipped.any():  # new variances would treat the excess of a clipped joint as noise
+        if base.clipped.any():  # new variances would absorb the excess of a clipped joint
             return self._stage(base, (), candidates, columns, base.fit.variances, 0)
         return self._stage(base, (), candidates, columns, None)
 
     def _candidates(self, base: Baseline, named: Sequence[NamedEffect] = ()) -> tuple[Candidate, ...]:
-        """All candidates but those of named hypotheses."""
+        """All candidates except those of named hypotheses."""
         engine, hypotheses = self.reduction.engine, {effect.candidate.hypothesis for effect in named}
         every = all_candidates(base.model, engine.joints, self.reduction.moving, engine.mirror, self.without)
         return tuple(candidate for candidate in every if candidate.hypothesis not in hypotheses)
@@ -82,12 +82,12 @@ class Search:
         return NamingStage(base, named, candidates, columns, judge, judge.fit(variances=variances, rounds=rounds))
 
     def run(self, base: Baseline) -> list[NamingStage]:
-        """Stages with no effect named, one, two and so on, while the held-out density increases significantly."""
+        """Stages with zero, one, two and more named effects, while the held-out density increases significantly."""
         stages = [self.first(base)]
         for number in range(MOST):
             further = self.further(stages[-1])
             if further is None and stages[-1].base.clipped.any():
-                # no candidate explains the excess of the clipped joints: refit within the bounds and try again
+                # no candidate explains the excess of the clipped joints: refit within the bounds and retry
                 stages[-1] = self.around(stages[-1], stages[-1].base, stages[-1].named)
                 further = self.further(stages[-1])
             if further is None:
@@ -113,15 +113,14 @@ class Search:
         leaders = self.leaders(stage, odds, stage.fit.variances)
         if (named := self._name(stage, [*shared, *self.in_clipped_joints(stage), *leaders])) is not None:
             return named
-        # Student weights hide what happens in few windows only: propose it with Gaussian noise and estimate the
-        # weights anew with it
+        # Student weights hide effects that act in few windows: propose these with Gaussian noise, then estimate the
+        # weights again
         gaussian = Judge(stage.judge.rows, stage.judge.priors, self.settings, gaussian=True)
         odds = np.where(self._in_outlier_windows(stage), gaussian.scores(gaussian.fit(rounds=6)), -np.inf)
         return self._name(stage, self.leaders(stage, odds, None))
 
     def leaders(self, stage: NamingStage, odds: np.ndarray, variances: Variances | None) -> list[Proposal]:
-        """The candidates of the best hypotheses by their evidence in the linear model, best first, and confounders of
-        these.
+        """The candidates of the best hypotheses in the linear model, best first, and their confounders.
 
         Args:
             stage: the linear model.
@@ -153,7 +152,7 @@ class Search:
             share = float(np.clip(fit.mean[-1], priors.low[index], priors.high[index]))
             truncation = float(log_mass(priors.low[index], priors.high[index], 0.0, priors.slab[index]))
             gain = fit.evidence - control.evidence + priors.log_prior[index] - truncation
-            # without the step that the baseline takes alone: where joints stick, long linear steps are wrong
+            # without the baseline's own step: long linear steps are wrong if joints stick
             step = fit.mean[:size] - control.mean[:size]
             proposals.append((gain, Proposal(index, step, share, fit.variances)))
         proposals.sort(key=lambda scored: -scored[0])
@@ -163,8 +162,8 @@ class Search:
         return [proposal for _, proposal in proposals if stage.candidates[proposal.index].hypothesis in kept]
 
     def in_clipped_joints(self, stage: NamingStage) -> list[Proposal]:
-        """Candidates in the joints that were clipped most, the best of each hypothesis, best first, at the size that
-        predicts a third of the windows best: where a fault makes a joint stick, the linear model does not show it."""
+        """The best candidate of each hypothesis in the joints that were clipped most, best first, at the size that
+        predicts a third of the windows best. The linear model does not reveal a fault that makes a joint stick."""
         base, costs = stage.base, dict[Hypothesis, tuple[float, Proposal]]()
         excess = np.abs(base.linear.point - base.point) / base.coordinates.deviation
         clipped = [base.coordinates.entries[i].joints for i in np.argsort(-excess) if base.clipped[i]]
@@ -182,10 +181,10 @@ class Search:
         return [proposal for _, proposal in sorted(costs.values(), key=lambda scored: scored[0])][:MOST]
 
     def shared(self, stage: NamingStage) -> list[Proposal]:
-        """Candidates of all joints with evidence after one nonlinear step together with the baseline, best first.
+        """Candidates of all joints that have evidence after one nonlinear step with the baseline, best first.
 
-        Shared parameters of the baseline imitate such an effect as far as they can, so the linear model at the fitted
-        point does not show it. The step uses a third of the windows and the best secant of each form.
+        The baseline's shared parameters imitate such an effect, so the linear model at the fitted point does not reveal
+        it. The step uses a third of the windows and the best secant of each form.
         """
         base, thin, odds = stage.base, self.thin, stage.judge.scores(stage.fit)
         start = gauss_newton(thin, base.coordinates, base.point, steps=0)
@@ -215,20 +214,20 @@ class Search:
         return [proposal for gain, proposal in proposals if gain > 0.0][:MOST]
 
     def _joined(self, stage: NamingStage, index: int, share: float) -> Coordinates:
-        """The coordinates of the baseline and of a candidate, initially at a share of its secant."""
+        """The coordinates of the baseline and of a candidate, which starts at a share of its secant."""
         candidate, coordinates = stage.candidates[index], stage.base.coordinates
         model = candidate.switched_on(coordinates.model, self.reduction.engine.joints)
         further = candidate.coordinates(stage.base.model, coordinates.entries, share, self.settings)
         return coordinates.extended(model, further)
 
     def _log_prior(self, stage: NamingStage, index: int, joined: Coordinates) -> float:
-        """Log prior of a candidate's hypothesis, its coordinates' priors truncated to their bounds."""
+        """Log prior of a candidate's hypothesis, with the priors of its coordinates truncated to their bounds."""
         further = joined.entries[len(stage.base.point) :]
         in_bounds = sum(float(log_mass(entry.low, entry.high, entry.prior, entry.deviation)) for entry in further)
         return float(log_priors(stage.candidates)[index]) - in_bounds
 
     def _in_outlier_windows(self, stage: NamingStage) -> np.ndarray:
-        """Candidates most of whose torque is in windows with a low Student weight, ``[candidate]``."""
+        """Candidates that act mainly in windows with a low Student weight, ``[candidate]``."""
         total, outlying = np.zeros((2, len(stage.judge.priors.mean)))
         for j, (indices, design) in enumerate(zip(stage.judge.rows.coefficients, stage.judge.rows.design, strict=True)):
             energy = np.square(design[..., self.reduction.kinds < 2]).sum(2)
@@ -238,8 +237,8 @@ class Search:
         return np.array([outlying[member].sum() > 0.5 * total[member].sum() for member in members])
 
     def _name(self, stage: NamingStage, proposals: Sequence[Proposal]) -> NamingStage | None:
-        """Refit proposals and name one: among those that predict left-out runs as well as the best, the one with the
-        most evidence. None if none predicts them significantly better with a relevant torque."""
+        """Refit the proposals and name one: among those that predict left-out runs as well as the best, the one with
+        the most evidence. None if no proposal predicts them significantly better with a relevant torque."""
         if not proposals:
             return None
         refits, control = self.refitted(stage, proposals)
@@ -256,7 +255,7 @@ class Search:
         return self.significant(effect.gain) and effect.relevance.matters and effect.log_odds > self.settings.alarm
 
     def _scored(self, stage: NamingStage, refit: Refit, without: np.ndarray) -> ScoredRefit:
-        """A refit with its held-out gain, and its relevance beside related effects and the baseline's gear law."""
+        """A refit with its held-out gain, and its relevance beside related effects and the gear law."""
         candidate, base, size = stage.candidates[refit.index], refit.base, len(stage.base.point)
         entries, further = base.coordinates.entries[:size], base.coordinates.entries[size:]
         related = [e.coordinates[0] for e in stage.named if candidate.effect.related({e.candidate.effect.name})]
@@ -268,11 +267,11 @@ class Search:
         return ScoredRefit(effect, base, density)
 
     def refitted(self, stage: NamingStage, proposals: Sequence[Proposal]) -> tuple[list[Refit], Baseline]:
-        """The best refit of each proposed hypothesis, the most evidence first, and the baseline refitted without an
-        effect from the point where the best refit ended.
+        """The best refit of each proposed hypothesis, the most evidence first, and the baseline refitted without the
+        effect from the end point of the best refit.
 
-        Sizes of the linear model are too small, as the baseline adapts only once the effect is included; the shape of
-        an effect is fitted too.
+        Sizes from the linear model are too small, because the baseline adapts only after the effect is included. The
+        shape of an effect is fitted too.
         """
         coordinates, point = stage.base.coordinates, stage.base.point
         best: dict[Hypothesis, Refit] = {}
@@ -295,7 +294,7 @@ class Search:
             end = compared(proposal.index, refit(joined, start, proposal.variances), control)
             hypothesis = stage.candidates[proposal.index].hypothesis
             best[hypothesis] = max(end, best.get(hypothesis, end), key=lambda refit: refit.log_odds)
-        # where joints stick, convergence is slow; and what only the baseline gains on the way is no evidence
+        # if joints stick, convergence is slow; gains of the baseline alone are not evidence
         first, *others = sorted(best.values(), key=lambda refit: -refit.log_odds)
         end = refit(first.base.coordinates, first.base.point, first.base.fit.variances, FEW_STEPS)
         back = refit(coordinates, end.base.point[: len(point)], end.base.fit.variances, FEW_STEPS)
@@ -310,10 +309,10 @@ class Search:
     def _best_start(
         self, joined: Coordinates, points: Sequence[np.ndarray], limb: int | None = None
     ) -> tuple[np.ndarray, float]:
-        """The start of a refit that predicts a third of the windows best, and its cost.
+        """The start of a refit that best predicts a third of the windows, and its cost.
 
-        Starts combine some points of the baseline with the size of the linear model and with `SIZES`: where a large
-        fault makes a joint stick, the linear model does not give its size.
+        Starts combine points of the baseline with the size from the linear model and with `SIZES`, because the linear
+        model does not give the size of a fault that makes a joint stick.
         """
         size, shape = joined.entries[len(points[0])], joined.start[len(points[0]) + 1 :]
         sizes = [size.start, *(bound * share for bound in (size.low, size.high) for share in SIZES)]
@@ -353,7 +352,7 @@ class Search:
         return gauss_newton(self.reduction, coordinates, point, steps, variances, stage.base.linear)
 
     def backward(self, stage: NamingStage) -> list[Gain]:
-        """Held-out gain over the model without each named effect, which is fitted from the point with it."""
+        """Held-out gain over the model without each named effect in turn, refitted from the point with the effect."""
         rows = stage.judge.rows
         density = self.held_out.density(stage.base, rows)
         others = [[other for other in stage.named if other is not effect] for effect in stage.named]
@@ -361,8 +360,8 @@ class Search:
         return [Gain.of(density, self.held_out.density(base, rows)) for base in reduced]
 
     def gains_with_wider_bounds(self, stage: NamingStage) -> list[Gain] | None:
-        """Gains of the named effects with wider bounds of the parameters that ended at a bound, as these might imitate
-        the effects; None if no parameter did."""
+        """Gains of the named effects after widening the bounds of parameters that ended at a bound, because these might
+        imitate the effects; None if no parameter did."""
         if not stage.named or not (entries := at_bound(stage.base)):
             return None
         point, variances = stage.base.point, stage.base.fit.variances

@@ -2,10 +2,10 @@
 
 Runs are left out in turn. The parameters are estimated from the other runs by one Gauss-Newton step, the windows of the
 left-out run are simulated at the posterior mean and at posterior draws, and the density of their residuals is averaged
-over the draws (Geisser 1975; Vehtari, Gelman & Gabry 2017); with the mean alone, a single joint that just sticks in one
-window would decide the result of a run. The density is that of the linear model: Student noise, unmodelled torque
-integrated out, variances from the other runs. Runs are independent and windows of one run are not, so the difference
-between two models has a standard error over runs.
+over the draws (Geisser 1975; Vehtari, Gelman & Gabry 2017); with the mean alone, one joint that barely sticks in one
+window would dominate the result of a run. The density is that of the linear model, with Student noise, unmodelled
+torque integrated out, and variances from the other runs. Runs are independent but windows of one run are not, so the
+standard error of the difference between two models is computed over runs.
 """
 
 from dataclasses import dataclass, replace
@@ -21,10 +21,10 @@ from op3.diagnose.reduction import Reduction
 from op3.diagnose.split import FEWEST_RUNS
 
 FOLDS, BLOCKS = 6, 8
-"""Budget: groups in which runs are left out, and blocks of time that replace fewer than `FEWEST_RUNS` runs."""
+"""Budget: groups in which runs are left out, and blocks of time left out if there are fewer than `FEWEST_RUNS` runs."""
 
 DRAWS, ROUNDS = 3, 3
-"""Budget: posterior draws beside the mean, and rounds that estimate the Student weights of left-out windows."""
+"""Budget: posterior draws in addition to the mean, and rounds that estimate the Student weights of left-out windows."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Gain:
     """Difference between the held-out log densities of two models, per run.
 
     Attributes:
-        mean: over runs [nat].
-        error: its standard error over runs.
-        z: mean in standard errors, converted from Student's distribution with this number of runs to a normal one.
+        mean: mean over runs [nat].
+        error: standard error of the mean.
+        z: mean in standard errors, converted from Student's distribution to the normal one with the same probability.
         runs: number of runs.
     """
 
@@ -70,7 +70,7 @@ class HeldOut:
         self.reduction = reduction
         logs = np.array([log for log, _ in reduction.engine.windows])
         self.in_time = len(np.unique(logs)) < FEWEST_RUNS
-        if self.in_time:  # windows are in the order of the logs and of time
+        if self.in_time:  # windows are ordered by log and time
             self.runs = np.arange(len(logs)) * min(BLOCKS, len(logs)) // len(logs)
         else:
             self.runs = np.unique(logs, return_inverse=True)[1]
@@ -79,7 +79,8 @@ class HeldOut:
         self._folds = [np.isin(self.runs, np.arange(fold, self.count, folds)) for fold in range(folds)]
 
     def density(self, base: Baseline, reference: Rows) -> np.ndarray:
-        """Held-out log densities of a fitted model, ``[run, joint]``; sensor and edge variances are the reference's."""
+        """Held-out log densities of a fitted model, ``[run, joint]``, with the reference's sensor and edge
+        variances."""
         reduction, point, coordinates = self.reduction, base.point, base.coordinates
         rows = reduction.rows(base.linear, (), reference)
         priors, variances = step_priors(coordinates, point), base.fit.variances
@@ -130,7 +131,7 @@ def log_density(
         residual: ``[window, row]``.
         variance: variance of sensors and of sticking, ``[window, row]``; infinite where not measured.
         features: features of the unmodelled torque, ``[window, row, feature]``.
-        kinds: kinds of the rows, as of `Rows`.
+        kinds: kinds of the rows, as in `Rows`.
         noise: standard deviations by kind.
         unmodelled: scale of the unmodelled torque.
         tails: degrees of freedom of Student's noise.

@@ -7,10 +7,10 @@ The rows of a joint (unmodelled torque, current, reported velocity, by window) a
 with ``B b`` the parameters of the baseline and of the measurement chain (wide priors), ``S a`` every effect of the
 catalogue in every set of joints, ``F w`` the joint's unmodelled torque, integrated out (random features: Rahimi and
 Recht 2007), and Student noise ``e`` (scale mixture: Lange, Little & Taylor 1989). No law is exact, so the prior of
-every effect includes a small amplitude: the *spike*. That of a finding has a large one: the *slab*, truncated to the
-physical range (spike and slab: Mitchell & Beauchamp 1988; George & McCulloch 1993). The score of a candidate is the log
-evidence ratio of slab and spike, all else integrated out. Variances are estimated by expectation-maximisation without
-any candidate.
+every effect allows a small amplitude: the *spike*. The prior of a finding adds a large amplitude: the *slab*, truncated
+to the physical range (spike and slab: Mitchell & Beauchamp 1988; George & McCulloch 1993). The score of a candidate is
+the log evidence ratio of slab and spike, with all other unknowns integrated out. Variances are estimated by
+expectation-maximisation without any candidate.
 """
 
 from collections.abc import Sequence
@@ -29,17 +29,17 @@ NOISE_GRID = np.exp(np.linspace(np.log(0.02), np.log(30.0), 30))
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Residuals of torque, current and rate by joint, window and piece, the pieces as their mean and differences.
+    """Residuals of torque, current and rate by joint and window, as the mean and the differences of the pieces.
 
     Attributes:
         joints: names.
         kinds: kind of every row of a window: 0 mean torque, 1 differences of torque, 2 mean current, 3 its differences,
-            4 mean difference of reported velocity and rate of the angle, 5 its differences, ``[row]``.
+            4 mean of reported velocity minus rate of the angle, 5 its differences, ``[row]``.
         residual: residual of the baseline [torque units], ``[joint, window, row]``.
         variance: variance of the sensors and of windows on the edge of sticking, ``[joint, window, row]``; infinite
             where nothing was measured.
         features: features of the unmodelled torque, ``[joint, window, row, feature]``.
-        coefficients: indices of the coefficients that change the rows of each joint, ``[coefficient]``.
+        coefficients: indices of the coefficients that affect the rows of each joint, ``[coefficient]``.
         design: columns of these coefficients, ``[coefficient, window, row]``. Coefficients are the baseline's, then
             those of the elementary candidates (of one joint or of all).
     """
@@ -59,8 +59,8 @@ class CoefficientPriors:
 
     Attributes:
         mean: prior means, ``[coefficient]``.
-        deviation: prior standard deviations; of a candidate's coefficient its spike, ``[coefficient]``.
-        members: coefficients of each candidate: one, or one per joint of a pair or a side.
+        deviation: prior standard deviations; the spike for a candidate's coefficient, ``[coefficient]``.
+        members: coefficients of each candidate: one, or one per joint for a pair or a side.
         slab: standard deviation of the slab, ``[candidate]``.
         low: smallest plausible size, ``[candidate]``.
         high: largest plausible size, ``[candidate]``.
@@ -90,7 +90,7 @@ class Variances:
     weight: np.ndarray
 
     def copy(self) -> "Variances":
-        """A copy that may be changed."""
+        """A copy that can be modified."""
         return Variances(self.noise.copy(), self.unmodelled.copy(), self.weight.copy())
 
 
@@ -100,7 +100,7 @@ class Posterior:
 
     Attributes:
         mean: posterior mean of the coefficients, followed by the slab sizes of the named candidates.
-        precision: matrix of both.
+        precision: joint precision matrix of both.
         evidence: log evidence of the rows.
         feature_weights: weights of the features of the unmodelled torque of each joint, ``[feature]``.
         variances: estimated variances.
@@ -151,7 +151,7 @@ class Judge:
         return total / variances.weight[self.group, joint].T
 
     def _gram(self, variances: Variances) -> tuple[np.ndarray, float, list]:
-        """Whitened products of residual and design, unmodelled torque integrated out; -2 log determinant; factors."""
+        """Whitened products of residual and design without unmodelled torque, -2 log determinant, factors."""
         size, logdet = len(self.priors.mean) + 1, 0.0
         gram, factors = np.zeros((size, size)), []
         for j, f in enumerate(self._features):
@@ -181,9 +181,9 @@ class Judge:
         """Posterior of the coefficients and estimates of the variances by expectation-maximisation.
 
         Args:
-            named: candidates that have their slab beside their spikes.
+            named: candidates that have a slab in addition to their spikes.
             variances: initial variances.
-            rounds: rounds of expectation-maximisation.
+            rounds: number of rounds of expectation-maximisation.
         """
         priors, membership, start = self.priors, self.membership(named), variances or self.start
         variances = start.copy()
@@ -210,7 +210,7 @@ class Judge:
             if number == rounds:
                 break
             self._maximise(variances, amplitudes, weights, [triangle for triangle, _ in factors])
-        # -2 log likelihood and prior at the maximum, which contains the linear term once
+        # -2 log likelihood and prior at the maximum, where the linear term enters once
         square = gram[0, 0] + (mean**2 * precision).sum() - (linear + precision * mean) @ x
         logdet += 2 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
         unit = np.eye(len(x))[:, self._bounded]
@@ -230,7 +230,7 @@ class Judge:
         return float(result)
 
     def residual(self, joint: int, x: np.ndarray, feature_weights: np.ndarray) -> np.ndarray:
-        """Residual of a joint's rows after coefficients ``x`` and unmodelled torque, ``[window, row]``."""
+        """Residual of a joint's rows after subtracting coefficients ``x`` and unmodelled torque, ``[window, row]``."""
         predicted = np.tensordot(x[self.rows.coefficients[joint]], self.rows.design[joint], 1)
         return self.rows.residual[joint] - predicted - self.rows.features[joint] @ feature_weights
 
@@ -265,8 +265,8 @@ class Judge:
             variances.unmodelled[j] = np.clip(scale, 0.01, 30.0)
 
     def likelihood_terms(self, fit: Posterior) -> tuple[np.ndarray, np.ndarray]:
-        """Linear term and curvature of the log likelihood in each candidate's slab amplitude, all else integrated
-        out, ``[candidate]``."""
+        """Linear term and curvature of the log likelihood in each candidate's slab amplitude, with all other unknowns
+        integrated out, ``[candidate]``."""
         size, prior = len(self.priors.mean), 1.0 / self.priors.deviation**2
         covariance = fit.covariance[:size, :size]
         information = np.diag(prior) - prior[:, None] * covariance * prior
@@ -275,15 +275,15 @@ class Judge:
         return np.array([linear[list(m)].sum() for m in self.priors.members]), np.maximum(curvature, 1e-12)
 
     def scores(self, fit: Posterior) -> np.ndarray:
-        """Log odds of slab and spike against the spike alone, with the hypothesis' prior, ``[candidate]``."""
+        """Log odds of slab and spike against spike alone, including the prior of the hypothesis, ``[candidate]``."""
         p = self.priors
         linear, curvature = self.likelihood_terms(fit)
         slab = evidence(linear, curvature, 0.0, p.slab, p.low, p.high) + p.log_prior
         return slab + self._bounds_evidence(fit, linear, curvature)
 
     def _bounds_evidence(self, fit: Posterior, linear: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Log ratio of the probabilities that the baseline's parameters are within their bounds, with each candidate
-        and without, ``[candidate]``."""
+        """Log ratio of the probabilities, with and without each candidate, that the baseline's parameters are within
+        their bounds, ``[candidate]``."""
         p, bounded = self.priors, self._bounded
         mean, covariance = fit.mean[bounded, None], fit.covariance[bounded, : len(p.mean)]
         square, lower, upper = covariance[np.arange(len(bounded)), bounded, None], *(b[:, None] for b in self._bounds)
@@ -294,11 +294,11 @@ class Judge:
         return (with_candidate - log_mass(lower, upper, mean, np.sqrt(square))).sum(0)
 
     def gram(self, variances: Variances) -> np.ndarray:
-        """Whitened products of the design, unmodelled torque integrated out, ``[coefficient, coefficient]``."""
+        """Whitened products of the design with unmodelled torque integrated out, ``[coefficient, coefficient]``."""
         return self._gram(variances)[0][1:, 1:]
 
     def misfit(self, residual: np.ndarray, fit: Posterior) -> float:
-        """-2 log likelihood, without constants, of other residuals ``[joint, window, row]`` under a fit's variances."""
+        """-2 log likelihood without constants of new residuals ``[joint, window, row]`` under a fit's variances."""
         total = 0.0
         for j, f in enumerate(self._features):
             variance = self.variance(j, fit.variances).ravel()

@@ -12,8 +12,8 @@ class Settings:
     """Tuned constants. Torques are in torque units: one hundredth of the 95 % quantile of the busiest joint's torque.
 
     Attributes:
-        spike: RMS torque of the error that every law has [torque units], the scale of the spike prior. Sound robots of
-            other simulators show 0.1 to 0.3 after their best baseline fit.
+        spike: RMS torque of the inevitable error of a law [torque units], the scale of the spike prior. Sound robots of
+            other simulators have 0.1 to 0.3 after their best baseline fit.
         spike_range: smallest and largest spike as a share of the slab.
         slab: standard deviation of a finding's size as a share of the catalogue's range.
         fault_factor: largest size of a fault as a multiple of the catalogue's range.
@@ -24,14 +24,14 @@ class Settings:
         noise_spread: standard deviation of the logarithm of that prior.
         unmodelled: median of the log-normal prior of a joint's unmodelled torque [torque units].
         unmodelled_spread: standard deviation of its logarithm, also used for the spread between servos.
-        features: number of random features of a joint's unmodelled torque; twice as many change no name.
-        alarm: log odds above which a candidate is proposed; sound robots rarely reach it. Among findings that
-            held-out runs do not distinguish, odds count in units of it.
+        features: number of random features of a joint's unmodelled torque; doubling it changes no named effect.
+        alarm: log odds above which a candidate is proposed; sound robots rarely reach it. For effects that held-out
+            runs do not distinguish, log odds are divided by this value.
         threshold: gain in standard errors over held-out runs at which a finding has probability one half.
         steepness: change of a finding's log odds per standard error.
         min_load: smallest relevant share of a joint's RMS torque.
-        min_floor: smallest relevant ratio of an effect to the noise of one window; 25 windows resolve a fifth.
-        form_error: relative error of a finding's size because its law is only similar to the robot's; ten of eleven
+        min_floor: smallest relevant ratio of an effect to the noise of one window; 25 windows resolve a ratio of 0.2.
+        form_error: relative error of a finding's size, because its law only resembles the robot's; ten of eleven
             sizes found on robots of another simulator were off by 2 to 28 %.
         windows: number of windows of the fitted runs; None: five per run, at least 72.
         leaders: hypotheses whose evidence is computed with all other parameters free in each round.

@@ -1,4 +1,4 @@
-"""Data that the search for findings passes on: proposals, refits, named effects, and the linear model around them."""
+"""Data classes of the search for findings: proposals, refits, named effects, and the linear model around them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ class Proposal:
 
     Attributes:
         index: index of the candidate.
-        step: change of the baseline's coordinates with it, ``[coordinate]``.
-        share: share of its secant.
-        variances: variances of the linear model with it.
+        step: change of the baseline's coordinates when the candidate is included, ``[coordinate]``.
+        share: size as a share of the candidate's secant.
+        variances: variances of the linear model with the candidate.
     """
 
     index: int
@@ -55,12 +55,12 @@ class Refit:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A candidate that predicts held-out runs as well as a finding, and in the same runs and joints.
+    """A candidate that predicts left-out runs as well as a finding, with gains in the same runs and joints.
 
     Attributes:
         candidate: effect and joints.
-        finding_gain: the finding's gain over it.
-        log_odds: of the finding against it, by the evidence of the fitted windows.
+        finding_gain: held-out gain of the finding over this candidate.
+        log_odds: log odds of the finding against this candidate, from the evidence of the fitted windows.
     """
 
     candidate: Candidate
@@ -76,9 +76,9 @@ class NamedEffect:
         candidate: effect and joints.
         coordinates: its coordinates in the fit, the size first.
         log_odds: log odds by the evidence of the fitted windows when it was named.
-        gain: held-out gain of the model with it over the model without it.
-        relevance: torque that it produces.
-        rivals: candidates that are not distinguishable from it.
+        gain: held-out gain of the model with the candidate over the model without it.
+        relevance: torque that the effect produces.
+        rivals: candidates that are not distinguishable from this one.
     """
 
     candidate: Candidate
@@ -112,7 +112,7 @@ class NamingStage:
         base: the fit, the coordinates of the named effects last.
         named: the named effects.
         candidates: all other candidates.
-        columns: columns of the elementary candidates by key, ``[joint, window, row]``.
+        columns: columns of the elementary candidates, by key, ``[joint, window, row]``.
         judge: the linear model.
         fit: its posterior with no further effect.
     """
@@ -130,8 +130,8 @@ def coefficient_priors(
 ) -> CoefficientPriors:
     """Priors of the baseline's coordinates and of the candidates.
 
-    The spike of a candidate is the amplitude with RMS torque `spike` over the joints that it moves. The candidates of
-    one hypothesis share it and the prior of the hypothesis.
+    The spike of a candidate is the amplitude that produces the RMS torque `spike` in the joints that it affects. All
+    candidates of one hypothesis share its spike and its prior.
 
     Args:
         base: the baseline.
@@ -166,7 +166,7 @@ def coefficient_priors(
 
 
 def _rms_torques(rows: Rows, first: int, count: int) -> np.ndarray:
-    """RMS torque of each column after the baseline's, over the joints that it moves [torque units], ``[column]``."""
+    """RMS torque of each candidate's column over the joints that it affects [torque units], ``[column]``."""
     square, samples, torque = np.zeros(count), np.zeros(count), rows.kinds < 2
     for coefficients, design, variance in zip(rows.coefficients, rows.design, rows.variance, strict=True):
         further, valid = coefficients >= first, np.isfinite(variance[:, 0])
@@ -183,14 +183,14 @@ def best_refit(
 ) -> tuple[ScoredRefit, tuple[Rival, ...]]:
     """The refit that is named, and its rivals.
 
-    Held-out runs decide if they can. The candidates are the refit with the largest gain and all those that gain in
-    the same runs and joints and are not significantly worse; among them, the evidence decides. Of related effects whose
-    evidence differs by less than an alarm the one with the fewest parameters is named.
+    Held-out runs decide where they can: eligible are the refit with the largest gain, and those with gains in the same
+    runs and joints that are not significantly worse. Among these, the evidence decides. If the evidence of related
+    effects differs by less than an alarm, the effect with the fewest parameters is named.
 
     Args:
         accepted: refits with a significant gain.
-        without: held-out log densities of the model without them, ``[run, joint]``.
-        settings: with the gain in standard errors above which one refit is better than another, and the alarm.
+        without: held-out log densities of the model without the effects, ``[run, joint]``.
+        settings: settings with the alarm, and the gain in standard errors above which one refit is better than another.
     """
     leader = max(accepted, key=lambda refit: refit.effect.gain.mean)
     similar = [refit for refit in accepted if refit is leader or _similar(leader.density, refit.density, without)]
@@ -212,11 +212,11 @@ def best_refit(
 
 
 def probability_shares(rivals: Sequence[Rival], settings: Settings) -> np.ndarray:
-    """The shares of a finding and of its rivals in the probability that one of them is present, ``[1 + rival]``.
+    """How the probability that a finding or one of its rivals is present divides among them, ``[1 + rival]``.
 
     A rival's odds fall with the finding's held-out gain over it, and by a factor of e for each `alarm` of log evidence
-    between them: differences below an alarm also occur between wrong laws. No rival has more than the finding, which
-    was chosen before it.
+    between them, because differences below an alarm also occur between wrong laws. No rival gets more than the finding,
+    which was chosen first.
     """
     lead = [settings.steepness * max(r.finding_gain.z, 0.0) + max(r.log_odds, 0.0) / settings.alarm for r in rivals]
     odds = np.exp(-np.array([0.0, *lead]))

@@ -4,7 +4,7 @@ The residual of a window in position, velocity and current is a linear function 
 unmodelled torques. It is solved for the torques, with the initial state as nuisance parameters with tight priors, which
 gives nearly independent rows. All columns (baseline parameters and candidates) pass through the same reduction.
 
-On a stand limbs are not coupled, so one simulation carries a change in one joint of every limb.
+On a stand limbs are not coupled, so one simulation can include a change in one joint of every limb.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,10 +37,10 @@ from op3.servo import RobotModel, parameter
 from op3.servo.conditions import split_name
 
 THINNING = 3
-"""Budget: search and comparisons of starts use one window in so many, at least a third of `MIN_WINDOWS`."""
+"""Budget: search and comparisons of starts use every n-th window, at least a third of `MIN_WINDOWS`."""
 
 MAX_VARIANCE = 100.0
-"""Numerical: variance of a torque above which the row is not used [torque units^2]."""
+"""Numerical: variance of a torque above which a row is not used [torque units^2]."""
 
 STEP = 0.02
 """Numerical: finite-difference step of a coordinate as a share of its range."""
@@ -49,14 +49,14 @@ MOVING_SPEED = 0.05
 """Numerical: a joint moves if the standard deviation of its speed is larger [rad/s]."""
 
 COARSE = 2
-"""Numerical: factor on the simulation's step where only differences count. Not for times such as delays, whose columns
-differ little from each other."""
+"""Numerical: factor on the simulation's step where only differences are used. It does not apply to times such as
+delays, because their columns are very similar."""
 
 MAX_ERROR = 300.0
-"""Numerical: clipping range of errors, which a diverged simulation exceeds [sensor floors]."""
+"""Numerical: range to which errors are clipped, because simulations may diverge [sensor floors]."""
 
 CHUNK = 40
-"""Budget: parameter sets simulated at a time; a batch of 72 windows of 20 joints holds 20 MB."""
+"""Budget: parameter sets simulated together; a batch of 72 windows of 20 joints holds 20 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Reduction:
     Args:
         engine: windows of logs.
         settings: tuned constants.
-        reference: reduction of other windows of the same logs, whose torque unit and moving joints are used.
+        reference: reduction of other windows of the same logs that supplies the torque unit and the moving joints.
 
     Attributes:
         joint_indices: columns of the compared joints: all joints of limbs in which any joint moves.
@@ -167,7 +167,7 @@ class Reduction:
     def errors_at(
         self, coordinates: Coordinates, points: np.ndarray, stretch: int = 1, limb: int | None = None
     ) -> list[np.ndarray]:
-        """Whitened errors at points ``[point, coordinate]``, as of `errors`."""
+        """Whitened errors at points ``[point, coordinate]``, as returned by `errors`."""
         return self.errors(coordinates.model, coordinates.values(points), len(points), stretch, limb)
 
     def linearise(
@@ -177,8 +177,8 @@ class Reduction:
         reducers_of: Linearisation | None = None,
         jacobian_of: Linearisation | None = None,
     ) -> Linearisation:
-        """Residual, Jacobian and reduction around a point; the reduction may be reused from another linearisation, and
-        the columns of coordinates in common."""
+        """Residual, Jacobian and reduction around a point. Another linearisation may supply the reduction and the
+        columns of shared coordinates."""
         columns = (
             {} if jacobian_of is None else dict(zip(jacobian_of.coordinates.entries, jacobian_of.jacobian, strict=True))
         )
@@ -216,8 +216,8 @@ class Reduction:
     def reducers(
         self, coordinates: Coordinates, point: np.ndarray, error: Sequence[np.ndarray] | None = None
     ) -> tuple[tuple[Reducer, ...], tuple[np.ndarray, ...]]:
-        """The reduction around a point and the variance of its torques ``[window, joint]``, by limb; from the whitened
-        errors at the point, if already computed."""
+        """The reduction around a point and the variance of its torques ``[window, joint]``, by limb. Whitened errors at
+        the point are computed unless given."""
         error = self.errors_at(coordinates, point[None]) if error is None else error
         parameters = coordinates.model.tensors(self.engine.joints) | coordinates.values(point[None])
         filters = filter_matrices(parameters, self.count, self.ticks, self.engine.period)
@@ -232,7 +232,7 @@ class Reduction:
             engine.forget()
 
     def _same_limb(self, joints: tuple[int, ...] | None) -> np.ndarray:
-        """Which compared joints are in the limb of any of some joints, ``[joint]``."""
+        """Which compared joints share a limb with any of the given joints, ``[joint]``."""
         if joints is None:
             return np.ones(len(self.joint_indices), bool)
         limbs = {self.limb_of.get(j) for j in joints}
@@ -297,7 +297,8 @@ class Reduction:
     def columns(
         self, linear: Linearisation, candidates: Sequence[Candidate], progress: Callable[[float], None] | None = None
     ) -> np.ndarray:
-        """Changes of the rows by the secant of each elementary candidate, ``[candidate, joint, window, row]``."""
+        """Changes of the rows caused by the secant of each elementary candidate, ``[candidate, joint, window,
+        row]``."""
         result = np.zeros((len(candidates), *linear.residual.shape), np.float32)
         base = linear.coordinates.values(linear.point[None])
         models: dict[int, dict[tuple, list[int]]] = {}
@@ -318,7 +319,7 @@ class Reduction:
     def _simulate(
         self, linear: Linearisation, candidates: Sequence[Candidate], groups: list[list[int]], base, result: np.ndarray
     ) -> None:
-        """Columns of candidates of one model, those of a group from one simulation."""
+        """Columns of candidates of one model; each group is computed in one simulation."""
         model = candidates[groups[0][0]].model
         parameters, start = model.parameters(), model.tensors(self.engine.joints) | base
         shared = {name for name in start if not parameters[name.split("@")[0]].per_joint}
@@ -344,7 +345,7 @@ class Reduction:
         Args:
             linear: the linearised baseline.
             columns: columns of elementary candidates, ``[joint, window, row]``.
-            reference: rows whose variances are used, so that evidences are comparable.
+            reference: rows whose variances are used, which makes evidences comparable.
         """
         torque, current, rate = (self.kinds // 2 == group for group in range(3))
         torque_variance = np.concatenate([v.T for v in linear.variance])  # [joint, window]
@@ -367,7 +368,7 @@ class Reduction:
         return Rows(names, self.kinds, residual, variance, self.features, tuple(coefficients), tuple(design))
 
     def clipped(self, columns: np.ndarray) -> np.ndarray:
-        """A joint's columns ``[column, window, row]``, the outliers of windows on the edge of sticking clipped."""
+        """A joint's columns ``[column, window, row]``; outliers in windows on the edge of sticking are clipped."""
         result = columns.copy()
         for group in range(3):
             rows = self.kinds // 2 == group
@@ -376,8 +377,8 @@ class Reduction:
         return result
 
     def _edge_variance(self, linear: Linearisation) -> np.ndarray:
-        """Extra variance of windows in which a joint is about to stick: small changes of shared parameters change them
-        much, ``[joint, window]``."""
+        """Extra variance of windows in which a joint is about to stick, because they are sensitive to small changes of
+        shared parameters, ``[joint, window]``."""
         s, extra = self.settings, 0.0
         for entry, value, column in zip(linear.coordinates.entries, linear.point, linear.jacobian, strict=True):
             if entry.joints is None and entry.kind == "value" and entry.low >= 0:  # relative changes

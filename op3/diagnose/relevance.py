@@ -1,4 +1,4 @@
-"""Relevance of an effect: its torque beside a joint's load, and its change of readings beside their noise."""
+"""Relevance of an effect: its torque relative to a joint's load, and its change of readings relative to noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from op3.servo import Effect, parameter
 
 @dataclass(frozen=True)
 class Relevance:
-    """Influence of one effect in the joints in which it is largest.
+    """Influence of one effect in its most affected joints.
 
     Attributes:
         torque: RMS torque over windows, by joint [N m].
         load: largest ratio of this torque to a joint's RMS torque.
-        floor: largest ratio of its change of a window's torque, current or rate to the noise of that reading.
+        floor: largest ratio of the change in a window's mean torque, current or rate to the noise of that reading.
         matters: whether both are large enough, and the torque is larger than the error of a related effect's law.
     """
 
@@ -45,7 +45,7 @@ def relevance(reduction: Reduction, base: Baseline, index: int, rows: Rows, rela
     s = reduction.settings
 
     def change(number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Change of the rows by an effect, ``[joint, window, row]``, and its RMS torque ``[joint]`` [N m]."""
+        """Change of the rows caused by an effect, ``[joint, window, row]``, and its RMS torque ``[joint]`` [N m]."""
         entry = base.coordinates.entries[number]
         neutral = parameter(entry.parameter).neutral or 0.0 if entry.kind == "value" else 0.0
         rows_change = base.linear.jacobian[number].astype(np.float64) * (base.point[number] - neutral)
@@ -76,7 +76,7 @@ def relevance(reduction: Reduction, base: Baseline, index: int, rows: Rows, rela
 
 
 def gear_coordinates(effect: type[Effect], base: Baseline) -> list[Coordinate]:
-    """The baseline's shared coordinates of the gear's losses, if an effect is another law of the gear."""
+    """The baseline's shared coordinates of gear losses if the effect is also a gear law; otherwise none."""
     if effect.stage not in GEAR:
         return []
     laws = [law for law in base.coordinates.model.effects if law.stage in GEAR and effect.related({law.name})]

@@ -1,7 +1,7 @@
 """The linear map from a window's residuals to its rows: unmodelled torques, and residuals of the reported velocity.
 
-The response of a window to errors of its initial state and to torques is inverted for the torques, with the former as
-nuisance parameters. The reported velocity is compared with the rate of the measured angle after the servo's own
+The response of a window to initial-state errors and to torques is inverted for the torques; the initial-state errors
+are nuisance parameters. The reported velocity is compared with the rate of the measured angle after the servo's own
 filter, so that the difference does not depend on the mechanics.
 """
 
@@ -27,7 +27,7 @@ WIDE_TORQUE = 15.0
 """Numerical: prior standard deviation of the torque of a piece [torque units]; it matters only for joints at rest."""
 
 RATES = PIECES - 1
-"""Numerical: pieces whose rates are compared. The first depends on what the filter read before the window."""
+"""Numerical: pieces whose rates are compared. The first depends on filter inputs before the window."""
 
 
 class Reducer(NamedTuple):
@@ -74,8 +74,8 @@ def torque_responses(
 ) -> np.ndarray:
     """Whitened response to a unit of torque in one joint and piece, ``[nuisance, window, residual]``.
 
-    A joint responds in ticks in which it moves, measured or simulated. A servo with an internal position loop pulls it
-    back as after an error of the initial angle.
+    A joint responds in ticks in which it moves in the log or the simulation. A servo with an internal position loop
+    pulls it back as it does after an error of the initial angle.
 
     Args:
         engine: windows of logs.
@@ -97,7 +97,7 @@ def torque_responses(
     simulated = velocity + residual.reshape(shape)[..., 1] * np.where(recorded, floor[limb, 1], 0.0)
     moving |= recorded & (np.abs(simulated) > 0.04)
     stiffness = np.zeros((*mass.shape[:2], n))
-    if internal_loop:  # otherwise the commands are those of the log, without feedback
+    if internal_loop:  # otherwise the commands come from the log, without feedback
         stiffness = _loop_stiffness(engine, limb, initial[:n].reshape(n, *shape), mass)
     piece = np.arange(ticks) * PIECES // ticks
     response = np.zeros((n, PIECES, *shape), np.float32)
@@ -118,7 +118,7 @@ def torque_responses(
 def _loop_stiffness(engine: WindowResiduals, limb: np.ndarray, initial: np.ndarray, mass: np.ndarray) -> np.ndarray:
     """Stiffness of the servos' internal position loops [N m/rad], ``[window, tick, joint]``.
 
-    From the decay of an error of the initial angle over two ticks, ``q(t) = q0 (1 - K t^2 / 2 J)``.
+    Computed from the decay of an initial angle error over two ticks, ``q(t) = q0 (1 - K t^2 / 2 J)``.
     """
     time, result = 2 * engine.period, np.zeros((*mass.shape[:2], len(initial)))
     enabled = engine.motion.inputs.get("torque_enable")
@@ -135,7 +135,7 @@ def filter_matrix(lag: float, shape: float, ticks: int, period: float) -> np.nda
         lag: `velocity_time_constant` [s].
         shape: `velocity_filter_shape`.
         ticks: length of a window.
-        period: length of a tick [s]; one step of this length is exact.
+        period: length of a tick [s]; a single step of this length is exact.
     """
     velocities, zero = np.eye(ticks + 1), np.zeros(ticks + 1)
     p = SimpleNamespace(velocity_time_constant=lag, velocity_filter_shape=shape, timestep=period)
@@ -152,7 +152,7 @@ def filter_matrix(lag: float, shape: float, ticks: int, period: float) -> np.nda
 
 
 def filter_matrices(parameters: Mapping[str, Tensor], joints: int, ticks: int, period: float) -> np.ndarray:
-    """Matrices of the velocity filters of several servos, ``[joint, tick, tick]``, as of `filter_matrix`."""
+    """Matrices of the velocity filters of several servos, ``[joint, tick, tick]``; see `filter_matrix`."""
     names = ("velocity_time_constant", "velocity_filter_shape")
     rows = [np.broadcast_to(parameters[name][0].numpy() if name in parameters else 0.0, joints) for name in names]
     matrix = cache(lambda lag, shape: filter_matrix(lag, shape, ticks, period))
@@ -184,13 +184,13 @@ def filtered_rate_weights(matrix: np.ndarray, period: float) -> np.ndarray:
     """
     scale = FLOORS["joint", "position"] / FLOORS["joint", "velocity"] / period
     weights = matrix.copy()
-    weights[:, 0] -= weights.sum(1)  # the initial position is no velocity
+    weights[:, 0] -= weights.sum(1)  # the initial position does not contribute a velocity
     return np.stack(
         [scale * (weights[end] - weights[begin]) / (end - begin) for begin, end in _piece_ends(len(matrix) - 1)]
     )
 
 
 def rate_variance(velocity: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Variance of the rate rows from the sensors' floors, by weights ``[piece, tick]``, ``[row]``."""
+    """Variance of the rate rows due to the sensors' floors, ``[row]``, for weights ``[piece, tick]``."""
     rotation = linalg.helmert(RATES, full=True)
     return np.square(rotation @ velocity).sum(1) + np.square(rotation @ position).sum(1)

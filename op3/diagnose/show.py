@@ -13,7 +13,7 @@ from op3.rollout import Rollout
 from op3.servo import RobotModel
 
 REPEATS = 2
-"""Budget: repeats of one command that are simulated; the noise floor uses all of them."""
+"""Budget: number of repeats of one command that are simulated; the noise floor uses all repeats."""
 
 BEGINNING = 5.0
 """Display: simulated duration of a log of another mount [s]; a robot on the floor soon diverges from its log."""
@@ -32,9 +32,9 @@ def show(
         given: the given model, whose gap is included.
 
     Returns:
-        ``gap`` by channel: ``given``, ``before``, ``after`` and ``floor`` (difference of repeats from their
-        mean) as root mean squares with 90 % intervals over seconds, and ``change``: ``better`` or ``worse`` if
-        significant; ``loss`` with ``paper_eq7`` before and after; and the predictions.
+        ``gap`` by channel: ``given``, ``before``, ``after`` and ``floor`` (difference of repeats from their mean) as
+        root mean squares with 90 % intervals over seconds, and ``change``: ``better`` or ``worse`` if significant;
+        ``loss``: ``paper_eq7`` before and after; and the predictions.
     """
     logs = shown_logs(split)
     runs = FreeRuns(logs)
@@ -80,7 +80,7 @@ def on_other_mounts(
 
 
 def shown_logs(split: LogSplit) -> tuple[Rollout, ...]:
-    """Logs that are simulated: at most `REPEATS` of one command, as their free-run simulations are nearly equal."""
+    """The logs to simulate: at most `REPEATS` per command, because free-run simulations of repeats are nearly equal."""
     left_out = {i for group in split.repeats for i in group[REPEATS:]}
     return tuple(log for i, log in enumerate(split.show) if i not in left_out)
 
@@ -101,7 +101,7 @@ def _floor(split: LogSplit, key: tuple[str, str]) -> np.ndarray | None:
 
 
 def _closure(entry: Mapping[str, Any]) -> float | None:
-    """Share of the gap above the noise floor that was closed; squares are additive."""
+    """Share of the gap above the noise floor that was closed, computed from squares because these are additive."""
     floor = entry["floor"]
     if floor is None:
         return None

@@ -10,25 +10,25 @@ import numpy as np
 from op3.rollout import LogError, Rollout, stand_tilt
 
 SHOW_SHARE = 0.2
-"""Share of the runs that is held out if no command was repeated."""
+"""Share of held-out runs if no command was repeated."""
 
 SAME_COMMAND = 1e-3
-"""Numerical: largest difference of equal commands [rad, A/rad, A s/rad], as text logs are rounded."""
+"""Numerical: largest difference of equal commands [rad, A/rad, A s/rad], because text logs are rounded."""
 
 SAME_TILT = 0.02
 """Numerical: largest difference between tilts of the same stand [rad]."""
 
 FEW_ROWS, SAME_LENGTH = 3, 0.01
-"""Numerical: difference in length of runs of the same commands, in rows or as a share."""
+"""Numerical: allowed difference in length between runs of the same commands, in rows or as a share."""
 
 SHORTEST = 2.0
 """Shorter logs are not used [s]."""
 
 MOUNT_ORDER = ("stand", "pendulum", "floor")
-"""Mounts in the order of preference: the stand shows most about servos."""
+"""Mounts in order of preference; logs of a stand contain most information about servos."""
 
 FEWEST_RUNS = 5
-"""Fewer runs are cut in time instead of being held out or left out."""
+"""If there are fewer runs, each is cut in time instead of being held out or left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class LogSplit:
     """Logs by their use; no log has two uses.
 
     Attributes:
-        fit: logs to which parameters are fitted; findings are decided by leaving them out in turn.
-        show: held-out logs, on which the gap is reported and nothing is chosen.
+        fit: logs to which parameters are fitted, and which are left out in turn to decide on findings.
+        show: held-out logs, used only to report the gap.
         repeats: groups of logs with the same commands, as indices into `show`; empty without repeats.
     """
 
@@ -50,7 +50,7 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
     """The logs that are diagnosed, and the logs of other mounts, on which the gap is reported.
 
     Raises:
-        LogError: if logs are of different robots, servos or joints, or of a bench and of a robot.
+        LogError: if logs are of different robots, servos or joints, or mix a bench and a robot.
     """
     by_mount: dict[str, list[Rollout]] = {}
     for log in logs:
@@ -89,9 +89,9 @@ def diagnosed_mount(logs: Sequence[Rollout]) -> tuple[list[Rollout], dict[str, l
 def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
     """Split by run, before anything is fitted.
 
-    Runs that repeat a command are held out, as their difference is the noise floor; without repeats, a fifth of the
-    runs, of different motions. Fewer than `FEWEST_RUNS` runs are each cut in time: the first 80 % are fitted, the rest
-    is held out. Duplicates of a log are dropped.
+    Repeats of a command are held out, because their difference is the noise floor; without repeats, a fifth of the runs
+    with different motions is held out. If there are fewer than `FEWEST_RUNS` runs, the first 80 % of each are fitted
+    and the rest is held out. Duplicates of a log are dropped.
 
     Raises:
         LogError: if no log is long enough.
@@ -126,7 +126,7 @@ def split_logs(logs: Sequence[Rollout], seed: int = 0) -> LogSplit:
 
 
 def _distinct(logs: Sequence[Rollout]) -> list[Rollout]:
-    """Each log once, independent of its name."""
+    """The logs without duplicates, which may have different names."""
     by_content: dict[str, Rollout] = {}
     for log in logs:
         by_content.setdefault(log.fingerprint(), log)
@@ -165,7 +165,7 @@ def _same_commands(log: Rollout, other: Rollout) -> bool:
 
 
 def _pick(logs: Sequence[Rollout], among: Sequence[int], count: int, rng: np.random.Generator) -> list[int]:
-    """A random choice of runs, one of each motion in turn, the motion with the most remaining runs first."""
+    """A random choice of runs: one per motion in turn, beginning with the motion that has most runs left."""
     motions: dict[str, list[int]] = {}
     for i in rng.permutation(np.array(among, int)).tolist():
         motions.setdefault(re.sub(r"[\d_.-]+$", "", logs[i].metadata.motion or "motion"), []).append(i)

@@ -1,7 +1,7 @@
-"""The baseline fit from several starts, one for every structure of the laws.
+"""The baseline fit from several starts, with at least one for every structure of the laws.
 
 Stiction removes gradients, so an evolution strategy (CatCMA: Hamano et al. 2024) over the shared parameters, with long
-simulation steps, finds the basins; Gauss-Newton steps with estimated noise converge in each.
+simulation steps, finds the basins; Gauss-Newton steps with estimated noise converge within each.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,8 +28,8 @@ from op3.diagnose.reduction import Reduction
 from op3.servo import RobotModel, Stage
 
 GENERATIONS, FINE_GENERATIONS, SIGMA = 50, 10, 0.2
-"""Budget of the search: generations, the last of them with steps half as long; numerical: the initial standard
-deviation as a share of every range."""
+"""Budget of the search: number of generations, the last with halved steps; numerical: the initial standard deviation as
+a share of every range."""
 
 FACTORS = (0.25, 0.5, 2.0, 4.0)
 """Numerical: factors on a parameter of one servo that are compared before a fit."""
@@ -50,8 +50,8 @@ def fit_base(
     """Fit the model's parameters, the spread between servos and the measurement chain.
 
     Starts of every structure (form of the gear law and of the friction law, commands before or after the next reading)
-    are fitted on a third of the windows, the best of them on all; then every other gear law is fitted once more. A
-    Student prior lets one servo differ strongly. In the result each servo is clipped to the spread of a sound robot,
+    are fitted on a third of the windows, and the best of them on all; then every other gear law is fitted again. A
+    Student prior allows one servo to differ strongly. Finally, each servo is clipped to the spread of a sound robot,
     and a candidate must explain the excess.
     """
     lengths, settings = reduction.engine.lengths, reduction.settings
@@ -60,7 +60,7 @@ def fit_base(
     sound = base_coordinates(full, reduction.engine.joints, reduction.moving, priors)
     coordinates = with_student_spread(sound, settings.tails)
     thin = reduction.thinned()
-    # each gear law has an optimum of its own in all parameters
+    # each gear law has a different optimum in all parameters
     gears = [full, *other_forms(full, lambda effect: effect.stage in GEAR)]
     groups = [[gear, *other_forms(gear, lambda effect: effect.stage not in GEAR)] for gear in gears]
 
@@ -108,11 +108,11 @@ def _ranked(reduction: Reduction, bases: Iterator[Baseline]) -> tuple[Baseline, 
 def _further_starts(
     base: Baseline, forms: Sequence[RobotModel], period: float
 ) -> Iterator[tuple[Coordinates, np.ndarray]]:
-    """Further starts, each in a basin of its own.
+    """Further starts, each in a different basin.
 
-    Every form of the friction laws, with the fitted and with the initial friction; and commands that take effect on the
-    other side of the next reading, with the current lag changed by as much, or one whole period earlier or later: a
-    reading contains the first current of a command or none of it.
+    Every form of the friction laws, with the fitted and with the initial friction; and command timings: commands that
+    act before instead of after the next reading or vice versa, with a matching current lag, or one period earlier or
+    later. A reading includes the first current of a command or none of it.
     """
     coordinates, point = base.coordinates, base.point
     initial = _with_initial(base, (Stage.FRICTION,))
@@ -135,7 +135,8 @@ def _further_starts(
 def with_best_gear(
     reduction: Reduction, thin: Reduction, base: Baseline, optima: list[LocalOptimum]
 ) -> tuple[Baseline, list[LocalOptimum]]:
-    """The baseline with the best gear law once all else is fitted, and all optima; the same where no law is better."""
+    """The baseline with the best gear law after fitting all other parameters, and all optima; the same if none is
+    better."""
     _, gears = _ranked(thin, (gauss_newton(thin, *start, FEW_STEPS) for start in _gear_starts(base)))
     if gears[0].gain <= 0.0:
         return base, optima
@@ -146,8 +147,8 @@ def with_best_gear(
 def _gear_starts(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
     """Starts with other gear laws, which may be better once all other parameters are fitted.
 
-    The fit itself; every other form, with the fitted and with the initial gear parameters; and every form with more
-    loss near rest, which another form may have replaced.
+    The starts are the fit itself; every other form with the fitted and with the initial gear parameters; and every form
+    with more loss near rest, which another form may have imitated.
     """
     coordinates, point = base.coordinates, base.point
     yield coordinates, point
@@ -159,7 +160,7 @@ def _gear_starts(base: Baseline) -> Iterator[tuple[Coordinates, np.ndarray]]:
 
 
 def _with_initial(base: Baseline, stages: Sequence[Stage]) -> np.ndarray:
-    """A baseline's point with the parameters of some stages at their initial values."""
+    """A baseline's point with the parameters of some stages reset to their initial values."""
     effects = [effect for effect in base.coordinates.model.effects if effect.stage in stages]
     names = {parameter.name for effect in effects for parameter in effect.parameters}
     initial = np.array([entry.parameter in names for entry in base.coordinates.entries])
@@ -171,7 +172,7 @@ def search(
 ) -> tuple[Coordinates, np.ndarray]:
     """Evolution strategy over the shared parameters, logarithmic where they are positive, and the forms of the laws.
 
-    Noise and differences between servos are not estimated yet.
+    It does not estimate noise and differences between servos.
     """
     options = [replace(coordinates, model=form) for form in forms] or [coordinates]
     shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
@@ -195,7 +196,7 @@ def search(
     strategy = CatCMA(
         np.clip((initial - lower) / (upper - lower), 0.05, 0.95),
         SIGMA,
-        cat_num=np.array([max(2, len(options))]),  # a single form is listed twice, as a choice needs two
+        cat_num=np.array([max(2, len(options))]),  # a single form is listed twice, because a choice needs two options
         bounds=np.array([[0.0, 1.0]] * len(shared)),
         seed=int(rng.integers(2**31)),
     )
@@ -222,9 +223,9 @@ def robust_costs(errors: Sequence[np.ndarray], limbs: Sequence[np.ndarray]) -> n
 
 
 def with_servo_factors(reduction: Reduction, coordinates: Coordinates, point: np.ndarray) -> np.ndarray:
-    """A point at which each servo has the one parameter scaled by the one factor that predicts its limb best, if any.
+    """A point at which one parameter of each servo is scaled by the factor that best predicts its limb, if any helps.
 
-    A joint that sticks where it should move has no gradient towards a parameter several times as large.
+    A joint that sticks although it should move gives no gradient towards a parameter several times larger.
     """
     indices: dict[int, dict[str, int]] = {}
     for i, entry in enumerate(coordinates.entries):

@@ -1,4 +1,4 @@
-"""Residual torque of joints before and after the findings, and what the unmodelled torque depends on."""
+"""Residual torque of joints before and after the findings, and dependence of the unmodelled torque on the motion."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from op3.diagnose.reduction import Reduction
 from op3.diagnose.verdict import JointGap
 
 BINS = 8
-"""Numerical: bins of a quantity, with equally many windows each, over which the unmodelled torque is averaged."""
+"""Numerical: number of bins, with equally many windows each, over which the unmodelled torque is averaged."""
 
 
 def residual_torques(reduction: Reduction, stage: NamingStage) -> np.ndarray:
-    """RMS residual torque of each joint over windows, by their Student weight [torque units], ``[joint]``."""
+    """RMS residual torque of each joint over windows, weighted by Student weights [torque units], ``[joint]``."""
     x = np.concatenate([stage.fit.mean[: len(stage.base.point)], np.zeros(len(stage.candidates))])
     mean, result = reduction.kinds == 0, []
     for j in range(len(stage.judge.rows.joints)):
@@ -26,7 +26,7 @@ def residual_torques(reduction: Reduction, stage: NamingStage) -> np.ndarray:
 def joint_gaps(reduction: Reduction, first: NamingStage, last: NamingStage) -> dict[str, JointGap]:
     """Residual torque of each moving joint under the baseline and with all findings.
 
-    The unmodelled torque is flagged two standard deviations above that of sound joints.
+    A joint is flagged if its unmodelled torque is two standard deviations above that of sound joints.
     """
     s, unit = reduction.settings, reduction.torque_unit
     before, after = residual_torques(reduction, first), residual_torques(reduction, last)
@@ -61,7 +61,7 @@ def _dependence(reduction: Reduction, joint: int, torque: np.ndarray) -> dict[st
 
 
 def _explained_share(x: np.ndarray, y: np.ndarray) -> float:
-    """Share of the variance of y that its means over bins of x explain, less the share expected by chance."""
+    """Share of the variance of y explained by its means over bins of x, minus the share expected by chance."""
     bins = np.argsort(np.argsort(x)) * BINS // len(x)
     means = np.array([y[bins == b].mean() if (bins == b).any() else 0.0 for b in range(BINS)])
     total = y.var()

@@ -10,12 +10,12 @@ from op3.diagnose.window_gaps import WindowGaps, plain_gaps
 from op3.servo import RobotModel, effect_class
 
 LIKELY = 0.5
-"""Display: probability above which a finding is likely, and the largest one for short logs."""
+"""Display: probability above which a finding is likely, and the largest probability for short logs."""
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect that predicts the held-out runs as well as a finding."""
+    """Another effect that predicts the left-out runs as well as a finding."""
 
     effect: str
     joints: tuple[str, ...]
@@ -30,21 +30,21 @@ class Finding:
     Attributes:
         effect: name in the catalogue.
         joints: names of its joints.
-        shared: whether it applies to all joints with the same value.
-        parameter: name of the parameter that is its size.
+        shared: whether all joints have the same value.
+        parameter: name of the parameter that sets the size of the effect.
         size: value of this parameter; for an effect that the baseline includes, the increment.
         unit: unit of the size.
         interval: 90 % interval of the size.
         probability: probability of this effect and these joints.
         log_odds: log evidence ratio in the fitted windows.
-        gain: held-out gain of the model with it over the model without it.
-        alternatives: effects that are not distinguishable from it, with probabilities.
+        gain: gain on left-out runs of the model with the effect over the model without it.
+        alternatives: effects that are not distinguishable from this one, with probabilities.
         torque: RMS torque in the joints with the largest torque [N m].
         load: largest ratio of this torque to a joint's RMS torque.
-        of_base: whether it is a parameter that every baseline fit has, with an unusual value.
-        opened: its gain in standard errors with wider bounds of the baseline's parameters that ended at a bound; None
-            if no parameter did.
-        beyond: whether the size ended at the end of the searched range, so that it may be larger.
+        of_base: whether it is an unusual value of a parameter that every baseline fit includes.
+        opened: gain in standard errors after widening the bounds of baseline parameters that ended at a bound; None if
+            no parameter did.
+        beyond: whether the size reached the end of the searched range, so that the true size may be larger.
     """
 
     effect: str
@@ -72,13 +72,13 @@ class Finding:
 
     @property
     def likely(self) -> bool:
-        """Whether it or one of its alternatives has a probability above `LIKELY`, in sum."""
+        """Whether the finding and its alternatives together have a probability above `LIKELY`."""
         return self.probability + sum(other.probability for other in self.alternatives) > LIKELY
 
     @property
     def phrase(self) -> str:
         """Effect, joints and size in a few words."""
-        size = f"{self.size:.3g} {self.unit}".removesuffix(" -")  # pure numbers have no unit
+        size = f"{self.size:.3g} {self.unit}".removesuffix(" -")  # dimensionless values have no unit
         size = f"at least {size}, end of the searched range" if self.beyond else size
         return f"{_place(self.effect, self.joints, self.shared)} ({words(self.parameter)} {size})"
 
@@ -92,8 +92,8 @@ class JointGap:
         after: torque under the returned model.
         floor: noise of the sensors.
         unexplained: part that no effect of the catalogue explains.
-        flagged: whether this part exceeds that of joints of sound robots.
-        shape: share of its variance that position, velocity, load and time explain.
+        flagged: whether this part exceeds the values of joints of sound robots.
+        shape: share of the variance of this part that position, velocity, load and time explain.
     """
 
     before: float
@@ -113,16 +113,16 @@ class Verdict:
         joints: residual torque of each joint, by name.
         doubts: sentences about the baseline fit: parameters at a bound, other optima.
         unidentifiable: shared parameters that are not identifiable from these logs.
-        cannot_tell: sentences about what the logs do not show and what to record.
+        cannot_tell: sentences about what the logs do not reveal and what to record.
         base: the baseline fit: the given model refitted without new effects.
         model: the returned model: the baseline with every finding.
-        windows: the gap in windows of held-out runs, in three stages; None where there are no windows.
-        gap: errors by channel, before and after in free-run simulations of held-out runs.
+        windows: the gap of the three models in windows of held-out runs; None if there are no windows.
+        gap: errors by channel, before and after, in free-run simulations of held-out runs.
         loss: ``paper_eq7`` before and after on these runs.
         chain: parameters of the measurement chain, fitted and usual.
         ranking: hypotheses before any effect was named, the best first.
         ends: -2 log evidence of the other optima of the baseline fit minus that of the best.
-        not_shown: effects that these logs would not show at any plausible size, and in which joints.
+        not_shown: effects that these logs would not reveal at any plausible size, with the joints.
         seconds: processor time by stage.
         shown: predictions for the page.
     """
@@ -169,7 +169,7 @@ class Verdict:
 
     @property
     def gap_sentence(self) -> str:
-        """The gap in windows of held-out runs in three stages."""
+        """The gap of the three models in windows of held-out runs."""
         if self.windows is None:
             return ""
         gap = self.windows.whole["position"]
@@ -201,7 +201,7 @@ class Verdict:
 
 
 def separating(effects: Iterable[str]) -> str:
-    """The catalogue's experiments that separate some effects, each once."""
+    """The catalogue's experiments that separate these effects, each once."""
     return "; ".join(dict.fromkeys(filter(None, (effect_class(name).separating_experiment for name in effects))))
 
 

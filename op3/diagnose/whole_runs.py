@@ -1,7 +1,7 @@
-"""Shared parameters of a bench refitted on whole runs: windows distinguish laws, whole runs determine sizes precisely.
+"""Refit of a bench's shared parameters on whole runs: windows distinguish laws, but whole runs give precise sizes.
 
 An error of one percent in inertia or friction is below the noise of a window, but accumulates over seconds of a free
-swing. Parameters that whole runs do not determine keep the values of the windows.
+swing. Parameters that whole runs do not determine keep their values from the windows.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,9 @@ REACH = 50.0
 def on_whole_runs(base: Baseline, logs: Sequence[Rollout]) -> np.ndarray | None:
     """The baseline's point with shared parameters refitted to the angles of whole runs.
 
-    None for robots, where this would be too slow, or if all simulations diverge. The loss is pseudo-Huber; the length
-    of a window counts as one reading. The prior mean is the fit of the windows, with the baseline's prior deviations.
+    None for robots, because this would be too slow, or if all simulations diverge. The loss is pseudo-Huber, and all
+    readings within the length of a window together count as one. The prior mean is the fit of the windows, with the
+    baseline's prior deviations.
     """
     if logs[0].metadata.mount != "pendulum":
         return None

@@ -1,7 +1,7 @@
-"""The gap in windows of held-out runs in three stages: given model, baseline fit, returned model.
+"""The gap of three models in windows of held-out runs: given model, baseline fit, returned model.
 
-Windows of 0.2 s are like those of the fit: they start from the measured state and get the commands of the log. Windows
-of the horizons also start there, but their controller acts on the simulated state, as in a policy's rollout.
+Windows of 0.2 s are simulated as in the fit: they start from the measured state and receive the commands of the log.
+Longer windows (horizons) start there too, but the controller acts on the simulated state, as in a policy's rollout.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ HORIZONS = (0.25, 0.5, 1.0, 6.0)
 al. 2025)."""
 
 ROOM = 0.2
-"""Numerical: smallest difference between the length of a run and of its windows [s]."""
+"""Numerical: a run must be longer than its windows by this time [s]."""
 
 PER_LOG = 6
 """Budget: windows of each run."""
@@ -34,7 +34,7 @@ CHANNELS = {"position": "rad", "current": "A", "torque": "N m"}
 """Compared quantities and their units."""
 
 LARGEST_ERROR = {"position": 0.5, "current": 5.0}
-"""Numerical: clipping range of errors [rad, A], which a diverged simulation exceeds."""
+"""Numerical: range to which errors are clipped [rad, A], because simulations may diverge."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _errors(engine: WindowResiduals, model: RobotModel) -> np.ndarray:
 def _torques(
     reduction: Reduction, base: Baseline, models: Sequence[RobotModel]
 ) -> dict[str, tuple[np.ndarray, float | None, float]]:
-    """By joint the mean square residual torques of the models, the sensors' floor and the mean square torque."""
+    """Mean square residual torques of the models, the sensors' floor and the mean square torque, by joint."""
     reducers, variance = reduction.reducers(base.coordinates, base.point)
     unit, torque_rows, squares = reduction.torque_unit, reduction.kinds < 2, []
     for model in models:
@@ -205,7 +205,7 @@ def _floors(split: LogSplit, ticks: int) -> dict[str, dict[str, float]]:
 
 
 def _horizons(models: Sequence[RobotModel], logs: Sequence[Rollout], split: LogSplit) -> dict[float, StageGap]:
-    """Errors of the angle in closed loop over the horizons that the runs are long enough for."""
+    """Closed-loop angle errors for every horizon that is not longer than the runs."""
     result = {}
     for length in HORIZONS:
         long = [log for log in logs if log.duration >= length + ROOM]
@@ -225,7 +225,7 @@ def _horizons(models: Sequence[RobotModel], logs: Sequence[Rollout], split: LogS
 
 
 def gap_table(gaps: WindowGaps) -> str:
-    """Errors in three stages as lines of text, by channel, joint and horizon."""
+    """Errors of the three models as lines of text, by channel, joint and horizon."""
     head = "".join(f"{name:>10}" for name in (*STAGES, "repeats"))
     lines = [f"{f'RMS error, {gaps.length:.2g} s windows':24}{head}"]
 

@@ -1,4 +1,4 @@
-"""TorchRL environments over the tasks."""
+"""TorchRL environments for the tasks."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Policies to evaluate: a policy bundle by its folder, or a fixed policy by its name."""
+"""Policies for evaluation: a policy bundle given by folder, or a fixed policy given by name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ class Actor:
 
     Attributes:
         label: short name.
-        policy: has ``act(observation)``, or ``commands(time)`` where it commands the servos itself.
-        action_map: what its actions mean.
+        policy: object with ``act(observation)``, or with ``commands(time)`` if it commands the servos directly.
+        action_map: map from actions to commands.
     """
 
     label: str
@@ -35,7 +35,7 @@ class Actor:
 
     @property
     def stiff(self) -> bool:
-        """Whether it drives the servos in position mode, where they have no P gain of the robot's computer."""
+        """Whether it uses the servos' position mode, without P gains from the robot's computer."""
         return hasattr(self.policy, "commands")
 
     def environment(self, task: Task, model: str | RobotModel, num_envs: int, seed: int, **options: Any) -> BatchedEnv:
@@ -53,7 +53,7 @@ class Actor:
         """One policy step of all robots of an environment.
 
         Args:
-            env: made by `environment`.
+            env: environment from `environment`.
             state: result of `reset`, `begin` or the previous step.
 
         Returns:
@@ -67,8 +67,8 @@ class FixedGain:
     """A policy's target angles with one P gain for all its joints.
 
     Args:
-        policy: with a function ``act``.
-        p_gain: [A/rad].
+        policy: object with a method ``act``.
+        p_gain: P gain [A/rad].
     """
 
     def __init__(self, policy: Any, action_map: ActionMap, p_gain: float):
@@ -94,12 +94,12 @@ def find_actor(
 
     Args:
         name: folder of a bundle, or hold, zero, random or stiff.
-        hold_gain: of a policy that holds [A/rad].
-        gain_scale: factor on the gain of the stiff walk's own position loop; other gains are scaled by the environment.
-        field: of the config that named it, for messages.
+        hold_gain: P gain of the policy `hold` [A/rad].
+        gain_scale: factor on the gain of the stiff walk's position loop; the environment scales all other gains.
+        field: config field that contains the name, for messages.
 
     Raises:
-        ValueError: if there is no such bundle, or it cannot attempt the task.
+        ValueError: if there is no such bundle, or it does not fit the task.
     """
     action_map = task.action_map()
     baselines: dict[str, Callable[[], Any]] = {
@@ -123,7 +123,7 @@ class Watched:
     """A policy that records the state of the first robot at every action.
 
     Args:
-        policy: with a function ``act``, and perhaps ``commands``.
+        policy: object with a method ``act`` and optionally ``commands``.
     """
 
     def __init__(self, policy: Any, env: BatchedEnv):

@@ -1,4 +1,4 @@
-"""Many robots at a task, stepped together: a natively batched TorchRL environment."""
+"""Many robots with one task, stepped together: a natively batched TorchRL environment."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -28,16 +28,16 @@ from op3.tasks.whole_step import WholeStep
 
 
 class BatchedEnv(EnvBase):
-    """``num_envs`` robots at one task, each with its own ground and parameters.
+    """``num_envs`` robots with one task, each with separate ground and parameters.
 
     A step is 32 ms: four ticks of the PD and 32 steps of the physics. Resets do not affect other robots, and the k-th
-    episode of robot i depends on the seed, i and k alone.
+    episode of robot i depends only on the seed, i and k.
 
     Args:
         model: effects and parameter values of the robots.
         parameters: values by parameter name, ``[num_envs]`` or ``[num_envs, joint]`` or a number, which replace the
             model's permanently.
-        gain_scale: factor on all commanded P and D gains, as for stronger or weaker servos.
+        gain_scale: factor on all commanded P and D gains, which emulates stronger or weaker servos.
         timestep: time step of the physics [s]; None: that of the scene, 1 ms.
         num_threads: threads that step the physics; 0 for all processors.
         device: device of terms, observations and rewards; the physics stays on the CPU.
@@ -73,26 +73,26 @@ class BatchedEnv(EnvBase):
             with self._on_device():
                 self.mdp = Mdp(task, self.scene, model, self.action_map, num_envs)
         except (RuntimeError, ValueError) as error:
-            if "can't allocate memory" in str(error):  # torch has no error of its own for it on processors
+            if "can't allocate memory" in str(error):  # torch has no specific error for this on CPUs
                 raise MemoryError(f"not enough memory for {num_envs} robots") from None
             raise
         drawn = self.mdp.event("randomisation")
         self.parameters_drawn: dict[str, Tensor] = {} if drawn is None else drawn.drawn
-        """Values that the episodes' robots drew, by parameter, ``[num_envs]``."""
+        """Drawn parameter values of the current episodes, by parameter, ``[num_envs]``."""
         self._fixed = dict(parameters or {})
         if clash := sorted(set(self.parameters_drawn) & set(self._fixed)):
             raise ValueError(f"parameter {clash[0]!r} is both set and randomised; remove one of the two")
         self.timestep = self._simulate(timestep)
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
         self.commander: Any = None
-        """Commands the servos itself at every tick, as `op3.tasks.StiffWalk` does; None: the actions do."""
+        """Object that commands the servos at every tick, such as `op3.tasks.StiffWalk`; None: the actions do."""
         self.on_tick: Callable[[int], None] | None = None
         """Called before each tick with its number within the step, for recorders."""
         set_specs(self, self.mdp)
         self.set_seed(seed)
 
     def _simulate(self, timestep: float | None) -> float:
-        """Make the simulation and look up its arrays; returns the time step of the physics [s]."""
+        """Create the simulation and look up its arrays; return the time step of the physics [s]."""
         robot = self.scene.robot
         assert robot is not None
         compiled = self.scene.compile(visual=False)
@@ -159,7 +159,7 @@ class BatchedEnv(EnvBase):
         """Start given episodes in some robots; an episode has the same initial state in every robot.
 
         Args:
-            episodes: number of the episode, by index of the robot; the others continue.
+            episodes: episode numbers by index of the robot; other robots continue.
 
         Returns:
             The state of all robots, as `reset` gives it.

@@ -14,10 +14,10 @@ from op3.tasks.task import Task
 
 
 class ComposerEnv(EnvBase):
-    """The composer twin of `op3.envs.BatchedEnv` with one robot: same actions, same observations and rewards.
+    """The composer version of `op3.envs.BatchedEnv` with one robot and the same actions, observations and rewards.
 
-    It makes the task available to software for composer, and checks the batched environment independently of
-    ``mujoco.Batch``; for training the batched one is many times faster.
+    It makes the task available to composer software and verifies the batched environment independently of
+    ``mujoco.Batch``. For training, the batched environment is many times faster.
 
     Args:
         model: effects and parameter values of the robot.

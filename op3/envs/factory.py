@@ -29,11 +29,11 @@ def make_env(
 
     Args:
         task: a `Task`, or the name of one in ``conf/task``.
-        model: a model, the path of a model.yaml, a name from `op3.sim.model_names`, or ``own``: that of the robot's
-            file, else one built from its servo makes.
+        model: a model, the path of a model.yaml, a name from `op3.sim.model_names`, or ``own``: the robot file's model,
+            otherwise one built from its servo files.
         num_envs: number of robots; None: 64, or one with the composer backend, which supports only one.
         backend: ``batched`` steps all robots together; ``composer`` is the same task in dm_control composer.
-        randomisation: "ranges" (Table I) or "intervals" (the model's own) draws each robot's parameters for every
+        randomisation: "ranges" (Table I) or "intervals" (the model's) draws each robot's parameters for every
             episode; None: constant parameters.
 
     Raises:
@@ -52,7 +52,7 @@ def make_env(
         raise ValueError(f"unknown backend {backend!r}; the backends are {', '.join(BACKENDS)}")
     kind: Any = BatchedEnv
     if backend == "composer":
-        from op3.envs.composed import ComposerEnv as kind  # brings composer, which a training need not load
+        from op3.envs.composed import ComposerEnv as kind  # imports composer, which training does not need
     taken = ("self", "task", "model", "num_envs", "seed")
     known = [name for name in signature(kind.__init__).parameters if name not in taken]
     if unknown := [name for name in options if name not in known]:

@@ -1,4 +1,4 @@
-"""Whether a real robot could move like this: self-contact, clearance of swinging feet, width, slip, drift, tilt."""
+"""Plausibility of a gait on a real robot: self-contact, swing-foot clearance, step width, slip, drift, tilt."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -22,11 +22,11 @@ class GaitValidity:
 
     Attributes:
         self_contact: share of physics steps in which the robot touches itself [-].
-        penetration: depth of the deepest contact of the robot with itself [m].
-        clearance: median over swings of the largest height of the sole's lowest corner above the higher one of the
-            points of lift-off and touchdown [m].
-        step_width: median over touchdowns of the distance of the soles' centres across the heading [m]; of bipeds.
-        double_support: share of the time in which both feet are loaded [-]; of bipeds.
+        penetration: depth of the deepest self-contact [m].
+        clearance: median over swings of the largest height of the sole's lowest corner above the higher of the lift-off
+            and touchdown points [m].
+        step_width: median over touchdowns of the lateral distance between the soles' centres [m]; only for bipeds.
+        double_support: share of the time in which both feet are loaded [-]; only for bipeds.
         foot_slip: mean horizontal speed of the lowest corner of a loaded foot's sole [m/s].
         yaw_drift: mean over episodes of the absolute change of heading per time [rad/s].
         tilt: mean angle of the trunk from upright [rad].
@@ -58,7 +58,7 @@ class GaitValidity:
 
 
 def judged_episodes(env: BatchedEnv, policy: Any, recording: str | None = None) -> tuple[list[Rollout], GaitValidity]:
-    """One episode of each robot of an environment, as of `op3.envs.record_episodes`, and how valid the gait is."""
+    """One episode of each robot of an environment, as in `op3.envs.record_episodes`, and the validity of the gait."""
     watch = StepWatch(env)
     with watch.watching():
         logs = record_episodes(env, policy, recording=recording)
@@ -71,11 +71,11 @@ def judged_episodes(env: BatchedEnv, policy: Any, recording: str | None = None) 
 def gait_validity(traces: Traces, lengths: NDArray[np.int64], timestep: float = 0.001) -> GaitValidity:
     """Compute the validity of episodes from their traces.
 
-    Self-contact counts from the first step on, everything else from `SKIPPED` on.
+    Self-contact is evaluated from the first step, everything else after `SKIPPED`.
 
     Args:
-        lengths: steps for which each robot's episode lasted, [sim].
-        timestep: of the physics [s].
+        lengths: number of steps of each robot's episode, [sim].
+        timestep: time step of the physics [s].
     """
     first = round(SKIPPED / timestep)
     touching, clearances, widths, turned, tilts = [], [], [], [], []

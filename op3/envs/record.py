@@ -15,11 +15,11 @@ from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import TICKS
 
 Policy = Callable[[Tensor], Tensor]
-"""From observations ``[robot, observation]`` to actions ``[robot, action]``."""
+"""Maps observations ``[robot, observation]`` to actions ``[robot, action]``."""
 
 
 class _Tape:
-    """Channels of all robots, tick by tick; those of the policy are filled in at the end of its step."""
+    """Channels of all robots by tick; policy channels are filled in at the end of each policy step."""
 
     def __init__(self, env: BatchedEnv):
         self._env = env
@@ -51,7 +51,7 @@ class _Tape:
 
     def fill(self, observation: Tensor, action: Tensor, reward: Tensor) -> None:
         """Add observation, action and reward of the policy to the ticks of the last step."""
-        if self._env.commander is not None:  # what it commanded, on the scale of actions, as if with the highest gain
+        if self._env.commander is not None:  # its commands converted to actions with the highest gain
             made = self._env.action_map
             legs = self._env.mdp.robot.indices(made.joints)
             target = self.ticks[-TICKS]["command", "position"][:, legs]
@@ -65,13 +65,13 @@ class _Tape:
 def record_episodes(
     env: BatchedEnv, policy: Policy | Any, episodes: int | None = None, recording: str | None = None
 ) -> list[Rollout]:
-    """Record one episode of every robot at a time, until there are enough.
+    """Record episodes with all robots in parallel until the requested number is reached.
 
     Args:
-        policy: a function from observations to actions, or anything with such a function ``act``, as a policy bundle.
-            With a function ``commands`` of time it commands the servos itself, as `op3.tasks.StiffWalk`.
+        policy: a function from observations to actions, or an object with such a method ``act``, like a policy bundle.
+            With a method ``commands`` of time it commands the servos directly, like `op3.tasks.StiffWalk`.
         episodes: number of episodes; None: one per robot.
-        recording: name of the recordings, to which the number of the episode is added.
+        recording: name of the recordings, to which the episode number is appended.
 
     Returns:
         Logs at 125 Hz with the schema of `op3.rollout`; the metadata hold task, seed of the episode, travelled
@@ -152,7 +152,7 @@ def _log(
         recording=recording,
         model_hash=model_hash(env.model),
         seed=int(env.episode_seeds[robot]),
-        # the furthest that the inner tip of a foot has got
+        # largest forward position of a foot's inner tip
         travelled_distance=None if travelled is None else float(travelled[: rows + 1, robot].max()),
         episode_duration=rows * CONTROL_PERIOD,
         fallen=bool(fallen),

@@ -1,4 +1,4 @@
-"""Traces that only a simulator has, at every physics step: forces on the feet, motion of the soles, self-contact."""
+"""Traces at every physics step that exist only in simulation: forces on the feet, motion of the soles, self-contact."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,13 +15,13 @@ from op3.tasks.addresses import Addresses
 Array = NDArray[np.float32]
 
 TOUCHED, LIFTED = 5.0, 1.0
-"""Force from which a foot is on the ground, and force up to which it is in the air [N]; the OP3 weighs 33 N."""
+"""Force above which a foot is on the ground, and force below which it is in the air [N]; the OP3 weighs 33 N."""
 
 SHORTEST_SWING = 60
-"""Steps of 1 ms in the air before a contact counts as a touchdown and not as a bounce."""
+"""Number of 1 ms steps in the air before a contact counts as a touchdown rather than a bounce."""
 
 SKIPPED = 1.5
-"""Time at the beginning of an episode that does not count for the gait [s]: the robot is not walking yet."""
+"""Time at the beginning of an episode that is omitted from gait measures [s], because the robot does not walk yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +29,16 @@ class Traces:
     """Traces of the robots of a batch, one row per physics step; feet are those with soles, the left one first.
 
     Attributes:
-        force: on each foot from outside, ``[time, sim, foot]`` in N.
-        acceleration: of the trunk at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an IMU.
+        force: external force on each foot, ``[time, sim, foot]`` in N.
+        acceleration: trunk acceleration at the IMU without gravity, ``[time, sim]`` in m/s^2; NaN without an
+            IMU.
         sole: height of the lowest corner of each foot's sole, ``[time, sim, foot]`` in m.
-        slip: horizontal speed of that corner, ``[time, sim, foot]`` in m/s.
-        centre: of each sole, forwards and to the left in the world, ``[time, sim, foot, 2]`` in m.
+        slip: horizontal speed of this corner, ``[time, sim, foot]`` in m/s.
+        centre: position of each sole's centre, forwards and to the left in the world, ``[time, sim, foot, 2]`` in m.
         ahead: forward position of the trunk in the world, ``[time, sim]`` in m.
         tilt: angle of the trunk from upright, ``[time, sim]`` in rad.
         yaw: heading of the trunk, ``[time, sim]`` in rad, within pi of 0.
-        penetration: depth of the deepest contact of the robot with itself, ``[time, sim]`` in m; 0 where there is none.
+        penetration: depth of the deepest self-contact, ``[time, sim]`` in m; 0 without contact.
     """
 
     force: Array
@@ -73,7 +74,7 @@ class StepWatch:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Record within this context, in addition to other observers."""
+        """Context within which steps are recorded, in addition to other observers."""
         simulation, before = self._env.simulation, self._env.simulation.on_step
 
         def look() -> None:
@@ -138,8 +139,8 @@ class StepWatch:
 def swings(force: NDArray[np.floating]) -> NDArray[np.int64]:
     """Swings of a foot: steps from the last contact before to the touchdown after, ``[swing, 2]``.
 
-    A touchdown is when the force ``[time]`` [N] on the foot first reaches `TOUCHED` after `SHORTEST_SWING` in the air;
-    a weaker touch during the swing belongs to it.
+    At a touchdown, the force ``[time]`` [N] on the foot reaches `TOUCHED` for the first time after `SHORTEST_SWING` in
+    the air; weaker contacts belong to the swing.
     """
     found, lifted, stands, left = [], 0, True, 0
     for time, value in enumerate(force):

@@ -1,4 +1,4 @@
-"""How well a walk tracks its commands: errors under changing commands, a table of speeds, and stopping."""
+"""Command tracking of a walk: errors under changing commands, a table of speeds, and stopping."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AXES = ("forward", "sideways", "turning")
 """Axes of a velocity command [m/s, m/s, rad/s]."""
 
 SETTLED = 1.0
-"""Time after a change of the command from which errors count [s]: one stride."""
+"""Time after a change of the command before errors are evaluated [s]: one stride."""
 
 STANDING_SPEED = 0.02
 """Mean speed over a second below which a robot counts as standing [m/s]."""
@@ -31,8 +31,8 @@ class Course:
     """Traces of robots under velocity commands, one row per policy step.
 
     Attributes:
-        command: ``[step, robot, 3]``.
-        velocity: forwards and to the left of the heading [m/s], and rate of turning [rad/s], ``[step, robot, 3]``.
+        command: velocity commands, ``[step, robot, 3]``.
+        velocity: velocity forwards and to the left [m/s], and turning rate [rad/s], ``[step, robot, 3]``.
         yaw: measured heading, unwrapped, ``[step, robot]`` in rad.
         place: position of the base in the world, ``[step, robot, 2]`` in m.
         upright: whether the robot has not fallen yet, ``[step, robot]``.
@@ -88,8 +88,8 @@ def held(task: Task, velocity: tuple[float, float, float], duration: float, stop
     """The task with one commanded velocity, which becomes zero at a given time.
 
     Args:
-        duration: of the episode [s].
-        stop: when the command becomes zero [s]; None: never.
+        duration: duration of the episode [s].
+        stop: time at which the command becomes zero [s]; None: never.
     """
     times, values = [0.0], [list(velocity)]
     if stop is not None:
@@ -100,7 +100,7 @@ def held(task: Task, velocity: tuple[float, float, float], duration: float, stop
 
 @dataclass(frozen=True)
 class Obedience:
-    """How well a walk tracks its commands.
+    """Tracking errors of a walk with velocity commands.
 
     Attributes:
         errors: root mean square under changing commands, by axis [m/s, m/s, rad/s].
@@ -108,8 +108,8 @@ class Obedience:
         robots: number of robots.
         speeds: commanded and achieved forward speed, with the standard deviation over robots [m/s].
         stopped: number of robots that stood within 2 s of a zero command and until the end of the episode.
-        stand_drift: mean path of the base in the 10 s after these [m].
-        yaw_drift: mean change of the heading in 20 s of walking straight on, either way [rad].
+        stand_drift: mean displacement of the base in the 10 s after these 2 s [m].
+        yaw_drift: mean absolute change of the heading in 20 s of walking straight ahead [rad].
     """
 
     errors: tuple[float, float, float]
@@ -139,12 +139,12 @@ def measure_obedience(
     report: Callable[[str], None] = print,
     **options: Any,
 ) -> Obedience:
-    """Measure how well a walk tracks its commands.
+    """Measure how accurately a walk tracks its commands.
 
     Args:
-        task: with a command ``velocity``.
-        robots: in each measurement.
-        speeds: commanded forwards for the table [m/s].
+        task: task with a command ``velocity``.
+        robots: number of robots in each measurement.
+        speeds: commanded forward speeds for the table [m/s].
 
     Raises:
         ValueError: if the task has no such command.
@@ -159,7 +159,7 @@ def measure_obedience(
         straight = walk_course(actor, model, held(task, (speed, 0.0, 0.0), 8.0), robots, seed, **options)
         late = straight.velocity[round(2.0 / POLICY_PERIOD) :, straight.upright[-1], 0].mean(0)
         table.append((speed, float(late.mean()), float(late.std())) if len(late) else (speed, np.nan, np.nan))
-    report("commands: straight on for 20 s, and a stop")
+    report("commands: walking straight ahead for 20 s, then stopping")
     long = walk_course(actor, model, held(task, (0.2, 0.0, 0.0), 20.0), robots, seed, **options)
     stop = walk_course(actor, model, held(task, (0.2, 0.0, 0.0), 18.0, stop=4.0), robots, seed, **options)
     second, stands = round(1.0 / POLICY_PERIOD), round(6.0 / POLICY_PERIOD)

@@ -1,4 +1,4 @@
-"""A model of the servo on a bench, if the given model is of a servo that a computer drives by current."""
+"""A model of the servo on a bench, for given models whose servos a computer drives by current."""
 
 from collections.abc import Sequence
 
@@ -7,16 +7,16 @@ from op3.servo import RobotModel
 from op3.sim import load_model
 
 BENCH_BASES = {"sts3032": "rhoban_m1", "xl330": "xl330_m1"}
-"""Models with Coulomb and viscous friction of the servos that the importer of bench recordings knows."""
+"""Models with Coulomb and viscous friction for the servos of known bench recordings."""
 
 
 def suited(model: RobotModel, logs: Sequence[Rollout]) -> RobotModel:
-    """The model itself, or a model of the bench's servo with only friction, with initial values.
+    """The given model, or a friction-only model of the bench's servo with initial values.
 
-    A servo that closes the position loop in its firmware cannot be simulated by a PD that commands current.
+    A PD loop that commands current cannot simulate a servo whose firmware closes the position loop.
 
     Raises:
-        LogError: if there is no model of the logs' servo.
+        LogError: if there is no model for the servo of the logs.
     """
     first = logs[0]
     own_loop = first.metadata.mount == "pendulum" and "command/firmware_gain" in first
@@ -25,7 +25,7 @@ def suited(model: RobotModel, logs: Sequence[Rollout]) -> RobotModel:
     servo = first.metadata.servo
     if servo not in BENCH_BASES:
         raise LogError(
-            f"the model is driven by current, but these logs are of a servo {servo!r} with a position loop of its own",
+            f"the model is driven by current, but the servo {servo!r} of these logs has an internal position loop",
             "give a model of that servo, such as assets/models/xl330_m1.yaml",
             source=first.metadata.recording,
             column="field servo",

@@ -1,4 +1,4 @@
-"""Which motions to record: those that narrow the intervals of chosen parameters most per second of robot time."""
+"""Chooses the motions that narrow the intervals of selected parameters most per second of robot time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,23 +19,23 @@ NOISE: Mapping[tuple[str, str], float] = {
     ("joint", "velocity"): 0.1,
     ("joint", "current"): 0.03,
 }
-"""Residuals of open-loop replays of the stand-in by channel, root mean squares [rad, rad/s, A].
+"""RMS residuals of open-loop replays of the stand-in by channel [rad, rad/s, A].
 
-The error of the model dominates; sensors are far better.
+The model error dominates; the sensor noise is much smaller.
 """
 
 STEP = 0.05
-"""Parameters are moved by this share of their range.
+"""Difference step of parameters as a share of their range.
 
-Stiction makes predictions jump under tiny changes, which would give too narrow intervals; over a step of the size of an
+Stiction makes predictions jump under tiny changes, which would give too narrow intervals; over a step as large as an
 interval the jumps average out.
 """
 
 CORRELATION_TIME = 0.1
-"""Rows of a log closer than this count as one sample [s]: residuals are correlated over about this time."""
+"""Rows of a log within this time count as one sample [s], because residuals are correlated over about this time."""
 
 PRIOR = 12.0
-"""Information before any log: a uniform distribution over its range has a variance of 1/12 ranges squared."""
+"""Prior information per parameter: a uniform distribution over the range has a variance of range^2 / 12."""
 
 WIDTH = 2 * 1.6449
 """Width of a 90 % interval in standard deviations."""
@@ -43,7 +43,7 @@ WIDTH = 2 * 1.6449
 
 @dataclass(frozen=True, eq=False)
 class PlannedRecording:
-    """A motion of the library on a mount, its duration [s], and its information.
+    """A library motion on a mount, with its duration [s] and its information.
 
     Attributes:
         information: ``[parameter, parameter]``, per range squared.
@@ -60,8 +60,8 @@ class Step:
     """One recording of a plan.
 
     Attributes:
-        seconds: of robot time up to and with this recording [s].
-        widths: of the 90 % intervals after it, as a share of the range, by parameter.
+        seconds: robot time up to the end of this recording [s].
+        widths: widths of the 90 % intervals after this recording, as shares of the range, by parameter.
     """
 
     name: str
@@ -78,15 +78,15 @@ def information(
     *,
     joints: Sequence[str] = (),
 ) -> Array:
-    """Fisher information of one recording about parameters, in units of their ranges.
+    """Fisher information about parameters in one recording, in units of their ranges.
 
     The motion is simulated with the model, and the log is replayed open loop with every parameter changed in both
-    directions, in one batch, as identification replays a real log.
+    directions, in one batch, just as identification replays a real log.
 
     Args:
-        model: effects that are on, and the values around which the motions are judged.
+        model: active effects, and the parameter values for which the motions are assessed.
         bounds: range by parameter name.
-        joints: whose traces count; all where empty.
+        joints: compared joints; empty: all.
 
     Returns:
         ``[parameter, parameter]``.
@@ -96,7 +96,7 @@ def information(
     """
     log = simulate_motion(model, motion, mount)
     if log.metadata.fallen:
-        raise ValueError(f"the robot falls in motion {motion.name!r} with this model; leave the motion out")
+        raise ValueError(f"the robot falls in motion {motion.name!r} with this model; omit the motion")
     box = Box.of(bounds)
     unit = box.unit({name: model.estimate(name).value for name in bounds})
     forward, backward = np.minimum(unit + STEP, 1.0), np.maximum(unit - STEP, 0.0)
@@ -105,7 +105,7 @@ def information(
     values = {name: torch.from_numpy(points[:, i].copy()) for i, name in enumerate(bounds)}
     prediction = Replay([log]).run(model, values, len(points))[0]
     if bool(prediction.failed.any()):
-        raise ValueError(f"a simulation of motion {motion.name!r} diverged next to this model; leave the motion out")
+        raise ValueError(f"a simulation of motion {motion.name!r} diverged close to this model; omit the motion")
     count = max(1.0, CORRELATION_TIME * log.metadata.rate)
     result = np.zeros((len(unit), len(unit)))
     for key, difference in TrajectoryLoss(tuple(joints)).differences(prediction).items():
@@ -117,12 +117,12 @@ def information(
 
 
 def check_choice(names: Sequence[str], wanted: Sequence[str], criterion: str) -> None:
-    """Check the arguments of `choose` before its candidates are computed, which takes minutes."""
+    """Check the arguments of `choose` before computing the candidates, which takes minutes."""
     unknown = [name for name in wanted if name not in names]
     if unknown:
-        raise ValueError(f"design: unknown parameter {unknown[0]!r}; there are {', '.join(names)}")
+        raise ValueError(f"design: unknown parameter {unknown[0]!r}; choose from {', '.join(names)}")
     if not wanted:
-        raise ValueError("design: there is no parameter to plan for")
+        raise ValueError("design: there are no parameters to plan for; add groups")
     if criterion not in ("D", "A"):
         raise ValueError(f"design: criterion must be D or A, got {criterion!r}")
 
@@ -138,17 +138,17 @@ def choose(
     mount_change: float = 60.0,
     repeats: int = 2,
 ) -> list[Step]:
-    """Take greedily the recording that gains most per second of robot time, until the time is used up.
+    """Greedily add the recording with the largest gain per second of robot time until the time is used up.
 
-    D: the logarithm of the volume of the wanted parameters' uncertainty; A: the sum of their variances. All other
-    parameters count as unknown: they may trade off against the wanted ones.
+    Criterion D is the log volume of the wanted parameters' uncertainty; A is the sum of their variances. All other
+    parameters are treated as unknown, because they may trade off against the wanted ones.
 
     Args:
         candidates: available recordings.
-        names: of the parameters of the information matrices, in order.
-        wanted: those whose intervals count.
+        names: parameters of the information matrices, in order.
+        wanted: parameters whose intervals count.
         criterion: ``D`` or ``A``.
-        seconds: robot time in all [s]; at least one recording is taken.
+        seconds: total robot time [s]; the plan has at least one recording.
         overhead: robot time for each recording in addition to its duration [s].
         mount_change: robot time for moving the robot to another mount [s].
         repeats: largest number of recordings of a motion.

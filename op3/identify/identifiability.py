@@ -1,4 +1,4 @@
-"""Which parameters logs determine, and which combinations of parameters they cannot distinguish."""
+"""Which parameters are identifiable from logs, and which combinations of parameters are not distinguishable."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ SHARE = 0.5
 """A parameter is identifiable if its 90 % interval is narrower than this share of the searched range."""
 
 PART = 0.3
-"""Smallest component of a combination's unit direction with which a parameter counts as part of it."""
+"""A parameter belongs to a combination if its component of the unit direction is at least this large."""
 
 WIDTH = 2 * float(special.ndtri(0.95))
 """Width of a 90 % interval in standard deviations."""
@@ -25,19 +25,19 @@ WIDTH = 2 * float(special.ndtri(0.95))
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Singular values and directions of the whitened sensitivity matrix, in units of the ranges searched.
+    """Singular values and directions of the whitened sensitivity matrix, in units of the searched ranges.
 
-    The combination with direction v and singular value s is known to 1 / s of the ranges (one standard deviation).
+    A combination with singular value s has a standard deviation of 1 / s, in units of the ranges.
 
     Attributes:
-        noise: scale of the noise by channel, in the channel's weighted residual.
-        singular_values: largest first.
-        directions: ``[combination, parameter]``, of length one.
-        correlation: of the estimates, ``[parameter, parameter]``.
+        noise: standard deviation of each channel's weighted residual.
+        singular_values: singular values, largest first.
+        directions: unit directions, ``[combination, parameter]``.
+        correlation: correlation of the estimates, ``[parameter, parameter]``.
         widths: width of each 90 % interval as a share of the range.
-        at_bound: the parameters that ended at an end of the range searched; they are not called identifiable.
-        identifiable: by parameter.
-        unknown: the combinations that the logs do not determine, in words, the worst first.
+        at_bound: parameters that ended at a bound of the searched range, which are not called identifiable.
+        identifiable: whether each parameter is identifiable, by name.
+        unknown: sentences about combinations that are not identifiable from the logs, the worst first.
     """
 
     names: tuple[str, ...]
@@ -60,9 +60,9 @@ def identifiability(
     """Whiten the sensitivity matrix with the noise of each channel and compute its singular values.
 
     Args:
-        blocks: indices of correlated residuals; those of different blocks are assumed independent.
+        blocks: indices of correlated residuals; residuals of different blocks are assumed independent.
         channels: indices of the residuals of each channel.
-        intervals: low and high of each parameter's interval.
+        intervals: low and high end of each parameter's interval.
     """
     noise = {name: noise_scale(sensitivity.residual, index, blocks) for name, index in channels.items()}
     whitened = sensitivity.jacobian.copy()
@@ -90,10 +90,10 @@ def identifiability(
 
 
 def noise_scale(residual: Array, index: np.ndarray, blocks: Sequence[np.ndarray]) -> float:
-    """Standard deviation of one channel's residual, for as many independent samples as there are rows.
+    """Standard deviation of one channel's residual, scaled as if all rows were independent samples.
 
     Neighbouring residuals are correlated. If they were independent, the mean of a block of n would have the variance
-    sigma^2 / n; its actual variance shows how many rows count as one sample, at least one.
+    sigma^2 / n; the actual variance shows how many rows form one independent sample (at least one).
 
     Args:
         blocks: indices of all residuals that belong together.
@@ -111,23 +111,23 @@ def noise_scale(residual: Array, index: np.ndarray, blocks: Sequence[np.ndarray]
 
 
 def in_words(names: Sequence[str], direction: Array) -> str:
-    """A combination that the logs do not determine, in one sentence.
+    """A sentence about a combination that is not identifiable from the logs.
 
     Args:
-        direction: ``[parameter]``, of length one.
+        direction: unit direction, ``[parameter]``.
     """
     order = np.argsort(-np.abs(direction))
     parts = [int(i) for i in order if abs(direction[i]) >= PART][:4]
     spoken = [words(names[i]) for i in parts]
     if len(parts) < 2:
-        return f"these logs do not determine {spoken[0] if spoken else words(names[int(order[0])])}"
+        return f"{spoken[0] if spoken else words(names[int(order[0])])} is not identifiable from these logs"
     first = direction[parts[0]] > 0
     alike = [word for i, word in zip(parts[1:], spoken[1:], strict=True) if (direction[i] > 0) == first]
     against = [word for i, word in zip(parts[1:], spoken[1:], strict=True) if (direction[i] > 0) != first]
     ways = [f"a higher {_listed(alike)}"] if alike else []
     ways += [f"a lower {_listed(against)}"] if against else []
     joined = f"{', '.join(spoken[:-1])} and {spoken[-1]}"
-    return f"{joined} trade off: a higher {spoken[0]} with {' and '.join(ways)} looks the same in these logs"
+    return f"{joined} trade off: a higher {spoken[0]} with {' and '.join(ways)} gives nearly the same logs"
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -135,7 +135,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _correlation(values: Array, directions: Array) -> Array:
-    """Correlation of the estimates, from the inverse of the information; without information, from the whole range."""
+    """Correlation of the estimates, from the inverse of the information matrix; uninformed directions use the whole
+    range."""
     weak = 1.0 / np.maximum(np.square(values), 1.0)
     covariance = (directions.T * weak) @ directions
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))

@@ -1,4 +1,4 @@
-"""From logs to a model: evaluate parameter sets, choose the best, refine it, and test it on held-out logs."""
+"""Identifies a model from logs: evaluates parameter sets, refines the best one, and tests it on held-out logs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,10 +26,10 @@ from op3.servo.conditions import split_name
 from op3.sim.model_file import model_hash
 
 PREFIX = "parameters."
-"""Search-space keys are config keys below this one."""
+"""Config key that contains all keys of the search space."""
 
 BLOCKS_PER_LOG = 10
-"""Blocks of equal length in each log that intervals treat as independent; half a second of a squat."""
+"""Number of equal blocks per log that intervals treat as independent; half a second each in a squat."""
 
 CHECKED = 0.1
 """Length of each log that is simulated before the first trial, so that errors show at once [s]."""
@@ -41,11 +41,11 @@ class FitScore:
 
     Attributes:
         loss: minimised loss, averaged over logs.
-        paper_eq7: paper eq. (7) with unit weights, over the same joints.
+        paper_eq7: paper eq. (7) with unit weights, for the same joints.
         terms: unweighted terms of eq. (7) by channel, averaged over logs.
         error_mrad: mean absolute joint position error, averaged over logs [mrad].
-        errors_mrad: the same per log.
-        predictions: simulations of the one candidate.
+        errors_mrad: mean absolute joint position error of each log [mrad].
+        predictions: simulations of the logs with one parameter set.
     """
 
     loss: float
@@ -63,15 +63,15 @@ class Fit:
     Attributes:
         label: name on the page.
         model: model with the identified values and their 90 % intervals.
-        found: names of the parameters that were searched.
-        fit: score on the logs that were fitted.
+        found: names of the searched parameters.
+        fit: score on the fitted logs.
         heldout: score on the held-out logs; None if there are none.
-        bounds: the range searched, by parameter name.
-        starts: the model's values before the search, by parameter name.
+        bounds: searched range by parameter name.
+        starts: values before the search, by parameter name.
         trials: loss of every trial of the study, in order; NaN where it failed.
         refined: loss after the trials, then after every round and iteration; empty without refinement.
-        identifiability: which parameters the logs determine.
-        simulated_seconds: simulated time spent [s].
+        identifiability: which parameters are identifiable from the logs.
+        simulated_seconds: total simulated time [s].
     """
 
     label: str
@@ -88,17 +88,17 @@ class Fit:
 
 
 def check_unseen(logs: Sequence[Rollout], heldout: Sequence[Rollout]) -> None:
-    """Check by content that no held-out log is among the fitted ones.
+    """Check by content that no held-out log is among the fitted logs.
 
     Raises:
-        LogError: if one is.
+        LogError: if a held-out log is also fitted.
     """
     fitted = {log.fingerprint() for log in logs}
     for held in heldout:
         if held.fingerprint() in fitted:
             raise LogError(
                 "the log is both fitted and held out",
-                "take it out of `data` or out of `heldout`",
+                "remove it from `data` or from `heldout`",
                 source=held.metadata.recording,
             )
 
@@ -108,12 +108,12 @@ class Refine:
     """Refinement after the trials of a study.
 
     Attributes:
-        rounds: rounds of a search with a surrogate of the residuals, starting from the trials.
+        rounds: number of rounds of a surrogate search that starts from the trials.
         batch: points simulated per round.
         seed: seed of the rounds.
         starts: number of best points from which least squares starts.
         max_iterations: largest number of iterations of least squares.
-        polish: Gauss-Newton steps along combinations of parameters, last of all.
+        polish: number of final Gauss-Newton steps along combinations of parameters.
     """
 
     rounds: Whole = 0
@@ -125,35 +125,35 @@ class Refine:
 
 
 def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
-    """Refuse parameters that cannot be searched in these logs with this model."""
+    """Raise an error for parameters that cannot be searched with this model and these logs."""
     base, condition = split_name(name)
     known = model.parameters()
     if base not in known:
         raise ValueError(
-            f"groups contain {name!r}, but no effect of the model has it; effects on: {', '.join(model.effect_names)}."
-            " Switch its effect on in the model, or leave the group out"
+            f"groups contain {name!r}, but no effect of the model has it; active: {', '.join(model.effect_names)}."
+            " Switch its effect on in the model, or omit the group"
         )
     estimate, joint = model.estimate(base), condition and condition.joint
     if condition is not None and joint is None and estimate.joints:
         raise ValueError(
             f"{name!r}: the model has values of {base} for {', '.join(estimate.joints)}, which a search under"
-            " conditions of logs would discard; remove them from the model file or leave the parameter out of"
+            " conditions of logs would discard; remove them from the model file, or omit the parameter from"
             " the search"
         )
     if joint is None:
         return
     if not known[base].per_joint:
-        raise ValueError(f"{name!r}: {base} is a quantity of the whole robot; remove it from `per_joint`")
+        raise ValueError(f"{name!r}: {base} belongs to the whole robot; remove it from `per_joint`")
     for log in logs:
         if joint not in log.joints:
             raise ValueError(
-                f"{name!r}: {log.metadata.recording} has no joint {joint!r}, it has {', '.join(log.joints)};"
-                " choose some of them by `joints`"
+                f"{name!r}: {log.metadata.recording} has no joint {joint!r} but {', '.join(log.joints)};"
+                " select some of these with `joints`"
             )
     if estimate.by:
         raise ValueError(
             f"{name!r}: the model has values of {base} by condition (`by`), which cannot be searched per joint"
-            " too; remove them from the model file or leave the parameter out of `per_joint`"
+            " too; remove them from the model file, or remove the parameter from `per_joint`"
         )
 
 
@@ -161,11 +161,11 @@ class Identification:
     """Identifies the parameters of one model from logs.
 
     Args:
-        model: effects that are on, and values of parameters that are not searched.
-        names: parameters to search; one with a condition, such as ``encoder_offset@length=7e-2``, applies to logs that
-            meet it, one such as ``coulomb_friction@joint=elbow`` for that joint.
-        joints: joints whose traces count; all of a log where empty.
-        loss: what to minimise; by default paper eq. (7) with unit weights.
+        model: active effects, and values of parameters that are not searched.
+        names: parameters to search. ``encoder_offset@length=7e-2`` applies to logs that meet the condition, and
+            ``coulomb_friction@joint=elbow`` to that joint.
+        joints: compared joints; empty: all joints of a log.
+        loss: minimised loss; by default paper eq. (7) with unit weights.
         bench_timestep: simulation step of bench logs [s].
     """
 
@@ -191,14 +191,14 @@ class Identification:
         self.loss = loss or TrajectoryLoss(self.joints)
         self.problem = Problem(model, logs, self.loss, bench_timestep=bench_timestep)
         self._evaluated = 0
-        # one batch of all logs costs little more than one of the fitted ones alone
+        # a batch of all logs costs little more than a batch of the fitted logs
         self._all = Problem(model, [*logs, *heldout], self.loss, bench_timestep=bench_timestep)
 
     def check(self) -> None:
         """Check before the first trial that the model can be simulated and compared on every log.
 
         Raises:
-            ValueError: if not; the message names what does not fit.
+            ValueError: if not; the message names the mismatch.
         """
         first = Replay(self._all.replay.logs, duration=CHECKED, bench_timestep=self._bench_timestep)
         predictions = first.run(self.problem.model)
@@ -208,7 +208,7 @@ class Identification:
 
     @property
     def identity(self) -> dict[str, str]:
-        """Everything besides the searched parameters that the losses depend on, for `op3.identify.study.run_study`."""
+        """Everything that the losses depend on except the searched parameters, for `op3.identify.study.run_study`."""
         logs = self.problem.replay.logs
         return {
             "logs": ", ".join(sorted(log.content_hash() for log in logs)),
@@ -218,12 +218,12 @@ class Identification:
         }
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
-        """Losses of trials whose parameters are config keys, for the study."""
+        """Losses of a study's trials, whose parameters are named by config keys."""
         self._evaluated += len(population)
         return self.problem.evaluate([self._values(trial) for trial in population])
 
     def finish(self, study: optuna.Study, **refine: Any) -> Fit:
-        """Choose the best trial of a finished study, refine it as `Refine` states, and score the result.
+        """Choose the best trial of a finished study, refine it with the settings `Refine`, and score the result.
 
         Args:
             refine: fields of `Refine`.
@@ -248,7 +248,7 @@ class Identification:
         model = self.problem.model.moved({name: Estimate(values[name], *intervals[name]) for name in self.names})
         model = model.with_values(_for_other_conditions(model, self.names))
         fitted = [log.fingerprint() for log in self.problem.replay.logs]
-        # trials that other processes evaluated count as well
+        # includes trials that other processes evaluated
         elsewhere = max(0, len(study.trials) - self._evaluated)
         return Fit(
             label=self.label,
@@ -271,7 +271,7 @@ class Identification:
         residuals: Residuals,
         how: Refine,
     ) -> tuple[Polished, list[float]]:
-        """End of the refinement from these trials, the best first, and the losses during it."""
+        """Result of the refinement from these trials, which are sorted best first, and the losses during it."""
         candidates = [self._values(t.params) for t in trials[: max(how.starts, MOST_POINTS if how.rounds else 1)]]
         best, values, history = trials[0].value or 0.0, candidates[0], []
         failed = self.loss.failed_loss(len(self.problem.replay.logs))
@@ -295,7 +295,7 @@ class Identification:
         return polished, history
 
     def score(self, values: Mapping[str, float]) -> tuple[FitScore, FitScore | None]:
-        """Score one parameter set on the fitted and on the held-out logs; None without held-out logs."""
+        """Scores of one parameter set on fitted and held-out logs; the latter is None without held-out logs."""
         predictions = self._all.predict({name: torch.tensor([value]) for name, value in values.items()})
         self.problem.simulated_seconds += self.problem.replay.seconds
         count = len(self.problem.replay.logs)
@@ -318,8 +318,8 @@ class Identification:
         return {key.removeprefix(PREFIX): value for key, value in by_key.items()}
 
     def _blocks(self, predictions: Sequence[Prediction]) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
-        """Indices of the residual by block of time, and by channel. A block is a whole log if there are many, else a
-        part of one.
+        """Indices of the residual by time block and by channel. With many logs a block is a whole log, otherwise a part
+        of a log.
         """
         stretches = 1 if len(self.problem.replay.logs) >= BLOCKS_PER_LOG else BLOCKS_PER_LOG
         blocks: list[list[np.ndarray]] = []
@@ -343,13 +343,13 @@ class Identification:
 
 
 def _for_other_conditions(model: RobotModel, names: Sequence[str]) -> dict[str, Estimate]:
-    """Shared values of parameters that were only searched under conditions of logs: the middle of their values."""
+    """Shared values of parameters that were only searched by log condition: the middle of these values."""
     result = {}
     for base in {split_name(name)[0] for name in names} - set(names):
         estimate = model.estimates[base]
         found = list(estimate.by.values())
         if not found:
-            continue  # searched for single joints: the others stay as they were simulated
+            continue  # searched for single joints: other joints keep their values
         result[base] = replace(
             estimate,
             value=sum(special.value for special in found) / len(found),

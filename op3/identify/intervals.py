@@ -1,4 +1,4 @@
-"""How well the data determine parameters: 90 % intervals from noise, stiction jumps and steps not taken."""
+"""90 % intervals of parameters from noise, stiction jumps and steps that the search did not take."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,13 +8,13 @@ from scipy import optimize, special
 from op3.identify.sensitivity import Array, Residuals, Sensitivity, simulate
 
 EDGE = 0.02
-"""A parameter this close to a bound, as a share of its range, counts as at the bound."""
+"""A parameter within this share of its range from a bound counts as at the bound."""
 
 FARTHER = (0.5, 1.0)
-"""Points at which the interval of a parameter at a bound is checked, as shares of the way to the other bound."""
+"""Points at which the interval of a parameter at a bound is checked, as shares of the distance to the other bound."""
 
 NOTHING = 1e-9
-"""Share of the largest information below which a combination of parameters counts as having no effect."""
+"""Combinations of parameters with less than this share of the largest information count as without effect."""
 
 
 def at_bound(place: float) -> bool:
@@ -23,30 +23,30 @@ def at_bound(place: float) -> bool:
 
 
 def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict[str, tuple[float, float]]:
-    """90 % intervals from the effects of noise, stiction and an unfinished search; covariances are added.
+    """90 % intervals that add the covariances from noise, stiction and an unfinished search.
 
     **Noise.** ``d_b = (H - H_b)^-1 s_b`` with ``H = J'J``, ``H_b = J_b'J_b`` and ``s_b = J_b' r_b`` is the change of
-    the estimate by a Gauss-Newton step without block b; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife
-    (CR3, Bell & McCaffrey 2002), which remains valid with few blocks, for which the plain sandwich estimator is too
-    narrow. Residuals of one block may be correlated in any way; those of different blocks are assumed independent.
+    the estimate in a Gauss-Newton step without block b; ``cov = (B - 1)/B sum_b d_b d_b'`` is the cluster jackknife
+    (CR3, Bell & McCaffrey 2002), which remains valid with few blocks, where the plain sandwich estimator is too narrow.
+    Residuals within a block may be correlated in any way; residuals of different blocks are assumed independent.
 
-    **Stiction.** It makes the residual jump, so the loss has many local minima, and chance decides which is the
-    deepest. Second differences are samples e of these jumps over the length of an interval; each would move the
-    estimate by ``H^-1 J' e``. The covariance is twice their mean square, because measurement and simulation have
-    different jumps. Independence in time is not assumed.
+    **Stiction.** Stiction makes the residual jump, so the loss has many local minima, and chance decides which is the
+    deepest. Second differences over the length of an interval are samples e of these jumps; each would move the
+    estimate by ``H^-1 J' e``. The covariance is twice the mean square of these shifts, because measurement and
+    simulation have different jumps. Independence in time is not assumed.
 
     **Steps not taken.** Differences as long as an interval average over the local minima: they may predict a step ``d =
-    -H^-1 J' r`` along a valley that the search could not take, because the loss rose in between. In random worlds
-    (`experiments/benchmarks/interval_coverage.py`) it led from the estimate towards the truth if torque constant,
-    armature, friction and mass were all too high or all too low. ``d d'`` is added.
+    -H^-1 J' r`` along a valley that the search could not take because the loss rose in between. In random worlds
+    (`experiments/benchmarks/interval_coverage.py`) this step led from the estimate towards the truth if torque
+    constant, armature, friction and mass were all too high or all too low. ``d d'`` is added.
 
-    Student's t with one degree of freedom less than there are blocks; clipped to the bounds.
+    Intervals use Student's t with one degree of freedom less than there are blocks, and are clipped to the bounds.
 
     Args:
         blocks: indices into the residual, one array per block.
 
     Returns:
-        Low and high by parameter name. A parameter that the data do not determine gets its whole range.
+        Low and high end by parameter name. A parameter that is not identifiable gets its whole range.
     """
     jacobian, residual, unit = sensitivity.jacobian, sensitivity.residual, sensitivity.unit
     hessian = jacobian.T @ jacobian
@@ -60,7 +60,7 @@ def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict
     covariance = covariance + 2 * _squares(jumped) / len(jumped) + _unknown(hessian)
     covariance = covariance + _squares(_step_left(sensitivity, hessian + ridge)[None])
     quantile = special.stdtrit(max(1, len(blocks) - 1), 0.95)
-    # a parameter that moves nothing, or whose neighbourhood diverges, is not determined: its interval is the range
+    # a parameter without influence, or with diverging neighbours, is not identifiable: its interval is the range
     half = np.where(sensitivity.unseen, 1.0, quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     ends = np.clip([unit - half, unit + half], 0.0, 1.0)
     lower, upper = (sensitivity.box.low + ends * sensitivity.box.span).tolist()
@@ -70,15 +70,15 @@ def intervals_of(sensitivity: Sensitivity, blocks: Sequence[np.ndarray]) -> dict
 def followed_from_bounds(
     residuals: Residuals, sensitivity: Sensitivity, found: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """Intervals, widened if a parameter ended at a bound and the loss rises less than its slope there predicts.
+    """Intervals, widened if a parameter ended at a bound from which the loss rises less than its slope predicts.
 
-    From a bound differences reach to one side only, and an effect that sets in there (a voltage that begins to limit
-    the current) fades away from it. So parameters at a bound are moved beyond the end of their interval, alone and with
-    what the others do on the way to that end, and simulated: the interval reaches as far as the loss is no higher than
-    its end was expected to raise it.
+    At a bound, differences reach only to one side, and an effect that begins there (a voltage limiting the current) may
+    fade away from the bound. So such parameters are moved beyond the end of their interval, alone and together with the
+    other parameters' trade-offs, and simulated. The interval extends as far as the loss stays below the value expected
+    at its end.
 
     Args:
-        found: low and high by parameter name, from `intervals_of`.
+        found: low and high end by parameter name, from `intervals_of`.
     """
     box, unit, result = sensitivity.box, sensitivity.unit, dict(found)
     covariance = np.linalg.pinv(sensitivity.jacobian.T @ sensitivity.jacobian, rcond=NOTHING)
@@ -108,8 +108,7 @@ def followed_from_bounds(
 
 
 def _step_left(sensitivity: Sensitivity, hessian: Array) -> Array:
-    """The predicted Gauss-Newton step from the estimate, of identifiable combinations and within the box,
-    ``[parameter]``."""
+    """The predicted Gauss-Newton step along identifiable combinations, within the box, ``[parameter]``."""
     seen = np.flatnonzero(~sensitivity.unseen)
     step, unit = np.zeros(len(hessian)), sensitivity.unit[seen]
     if not len(seen):
@@ -125,7 +124,7 @@ def _squares(moves: Array) -> Array:
 
 
 def _unknown(hessian: Array) -> Array:
-    """Covariance of combinations without effect: the whole ranges, ``[parameter, parameter]``."""
+    """Covariance of combinations without effect, which vary over the whole ranges, ``[parameter, parameter]``."""
     information, axes = np.linalg.eigh(hessian)
     nothing = axes[:, information <= NOTHING * max(1e-12, information.max())]
     return nothing @ nothing.T

@@ -1,11 +1,11 @@
-"""Points that fit a log about as well as the best one: draws from a level set of its loss."""
+"""Draws points from a level set of the loss, which fit a log about as well as the best point."""
 
 import numpy as np
 
 from op3.identify.sensitivity import Array
 
 STEPS_PER_PARAMETER = 10
-"""Moves of the random walk between two draws, per parameter: draws are then nearly independent."""
+"""Steps of the random walk per parameter between two draws, which makes draws nearly independent."""
 
 
 def draw_level_set(
@@ -13,21 +13,21 @@ def draw_level_set(
 ) -> Array:
     """Draw points around an optimum at which the expected rise of a least-squares loss is limited.
 
-    Within the box the loss is taken as ``|r + J d|^2`` about the point, r the residual and J its jacobian; the set with
-    at most the allowed rise is an ellipsoid, long where parameters compensate each other. Points of its overlap with
-    the box are drawn uniformly by hit-and-run (Smith 1984): from a point inside, move along a random direction to a
-    uniform position between the two ends of the set.
+    The loss is approximated by ``|r + J d|^2`` about the point, with the residual r and its Jacobian J. The set with at
+    most the allowed rise is an ellipsoid, elongated where parameters compensate each other. Its overlap with the box is
+    sampled uniformly by hit-and-run (Smith 1984): from a point inside, move along a random direction to a uniform
+    position between the two ends of the set.
 
     Args:
         unit: the point in the unit box, ``[parameter]``.
         hessian: ``J^T J``, ``[parameter, parameter]``.
         gradient: ``J^T r``, ``[parameter]``.
-        allowed: rise of the loss; positive.
+        allowed: allowed rise of the loss; positive.
 
     Returns:
-        Points of the unit box, ``[point, parameter]``.
+        Points in the unit box, ``[point, parameter]``.
     """
-    # directions as long as the set, else the walk creeps along a long ellipsoid
+    # directions scaled to the set, otherwise the walk is slow along a long ellipsoid
     curvature, axes = np.linalg.eigh(hessian)
     lengths = np.minimum(1.0, np.sqrt(allowed / np.maximum(curvature, 1e-12)))
     step, points = np.zeros(len(unit)), []
@@ -43,7 +43,7 @@ def draw_level_set(
 def _chord(
     step: Array, direction: Array, hessian: Array, gradient: Array, allowed: float, unit: Array
 ) -> tuple[float, float]:
-    """Largest steps along a direction from a point inside the set, backwards and forwards."""
+    """Largest backward and forward steps along a direction from a point inside the set."""
     # the loss along the line, a t^2 + 2 b t + c <= 0
     a = float(direction @ hessian @ direction)
     b = float(direction @ (hessian @ step + gradient))

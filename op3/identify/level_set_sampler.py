@@ -1,13 +1,13 @@
-"""NSGA-II with proposals along the level set of one objective that lower the other.
+"""NSGA-II with proposals that lower one objective along the level set of the other.
 
 Re-identification has two objectives of different kinds. The excitation loss is the squared length of a residual that
-changes almost linearly with the parameters, so its region of low loss is an ellipsoid, long and thin, oblique to all
-axes: crossover and mutation of single parameters move most children out of it. The distance of the returns is rough and
-at first contains little information about single parameters. Both objectives are learned from vectors that finished
-trials store: a short projection of the residual, and the differences of the sorted returns from those of the robot.
-Gaussian processes of these vectors (`op3.identify.surrogate`) predict both objectives. Part of each population is drawn
-from the level set, where the second objective is predicted to be lowest; the rest are ordinary children, and all may
-become parents.
+changes almost linearly with the parameters, so its region of low loss is a long, thin ellipsoid oblique to all axes,
+and crossover and mutation of single parameters move most children out of it. The distance between returns is rough and
+at first contains little information about single parameters. Both objectives are learned from vectors stored with
+finished trials: a short projection of the residual, and the differences between the sorted returns and those of the
+robot. Gaussian processes of these vectors (`op3.identify.surrogate`) predict both objectives. Part of each population
+is drawn from the level set, where the second objective is predicted to be lowest. The rest are ordinary children, and
+all trials may become parents.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,37 +31,37 @@ IMAGE = "residual_image"
 """Attribute of a trial: a vector that changes linearly with the residual of the first objective."""
 
 MISFIT = "misfit"
-"""Attribute of a trial: a vector that is zero where the second objective is."""
+"""Attribute of a trial: a vector that is zero where the second objective is zero."""
 
 ENOUGH = 2.0
-"""Trials per parameter before surrogates are used."""
+"""Number of trials per parameter before surrogates are used."""
 
 FAR = 1.5
 """The second objective is learned from trials whose first objective is at most this many times the limit."""
 
 LEARNED = 200
-"""Trials that a surrogate learns from, those of the lowest objective."""
+"""Number of trials with the lowest objective that a surrogate learns from."""
 
 RISES = (0.2, 0.6, 1.0)
-"""Expected rises of the first objective that points are drawn from, as shares of what is tolerated."""
+"""Expected rises of the first objective for drawn points, as shares of the tolerated rise."""
 
 AIMED = 0.6
-"""Share of the tolerated rise up to which points are proposed: predictions are not exact."""
+"""Share of the tolerated rise up to which points are proposed, because predictions are not exact."""
 
 DRAWS = 150
-"""Points drawn for each rise."""
+"""Number of points drawn for each rise."""
 
 LEAPS = 1500
-"""Steps tried from the best trials."""
+"""Number of steps tried from the best trials."""
 
 IMAGE_LENGTH = 128
 """Length of an image: squared norms then differ from those of the residuals by about an eighth."""
 
 BEST = 20
-"""Best trials from which steps start."""
+"""Number of best trials from which steps start."""
 
 STEPS = (0.02, 0.5)
-"""Lengths of steps, as shares of the difference of two points of the level set."""
+"""Lengths of steps, as shares of the difference between two points of the level set."""
 
 CAUTION = (0.5, -0.3, -1.0)
 """Weights of the variance relative to the squared mean; negative ones explore. Each serves an equal share of
@@ -77,10 +77,10 @@ class Observed:
     """Data of finished trials.
 
     Attributes:
-        points: in the unit box, ``[trial, parameter]``.
+        points: points in the unit box, ``[trial, parameter]``.
         losses: first objective, ``[trial]``.
-        images: of the residual, ``[trial, number]``.
-        misfits: ``[trial, number]``; NaN where a trial was spared the second objective.
+        images: projections of the residual, ``[trial, number]``.
+        misfits: differences of the sorted returns, ``[trial, number]``; NaN without the second objective.
     """
 
     points: Array
@@ -89,7 +89,7 @@ class Observed:
     misfits: Array
 
     def near(self, limit: float) -> NDArray[np.bool_]:
-        """Trials with a second objective whose first one is not far above a limit."""
+        """Trials with a second objective whose first objective is not far above a limit."""
         return np.isfinite(self.misfits).all(1) & (self.losses <= FAR * limit)
 
 
@@ -97,8 +97,8 @@ class LevelSetSampler(NSGAIISampler):
     """NSGA-II in which surrogates propose the first children of every population.
 
     Args:
-        proposals: largest number per population, for which this sampler is rebuilt.
-        tolerated: allowed first objective, as a multiple of that of the trial marked as nominal, or of the lowest one.
+        proposals: largest number of proposals per population; a new sampler is built for each population.
+        tolerated: allowed first objective, as a multiple of the nominal trial's, or of the lowest objective.
     """
 
     def __init__(self, *, proposals: int, tolerated: float = 1.25, seed: int | None = None, **options: Any):
@@ -112,12 +112,12 @@ class LevelSetSampler(NSGAIISampler):
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """Parameters of a trial: a proposal while there are any, then a child."""
+        """Parameters of a trial: a proposal while any remain, otherwise a child."""
         if self._proposed is None:
             self._proposed = self._propose(study.get_trials(deepcopy=False), search_space)
         if not self._proposed:
             return super().sample_relative(study, trial, search_space)
-        self.get_trial_generation(study, trial)  # notes it, without which a trial is not a parent
+        self.get_trial_generation(study, trial)  # stores the generation, which parents need
         return self._proposed.pop(0)
 
     def _propose(
@@ -135,14 +135,14 @@ class LevelSetSampler(NSGAIISampler):
             return []
         points = propose(observed, limit, self._count, self._random)
         box, high = _box(ranges), np.array([d.high for d in ranges.values()])
-        values = np.minimum(box.low + points * box.span, high)  # rounding must not lead beyond a range
+        values = np.minimum(box.low + points * box.span, high)  # rounding must not exceed a range
         return [dict(zip(ranges, row, strict=True)) for row in values.tolist()]
 
 
 def residual_image(residual: Tensor) -> Tensor:
-    """Short vectors whose lengths, and angles between each other, are about those of the residuals.
+    """Short vectors with approximately the lengths and mutual angles of the residuals.
 
-    ``[candidate, residual]`` to ``[candidate, number]``: sums of all residuals with random signs, always the same
+    ``[candidate, residual]`` to ``[candidate, number]``: sums of all residuals with fixed random signs
     (Johnson & Lindenstrauss 1984; Achlioptas 2003).
     """
     generator = torch.Generator().manual_seed(0)
@@ -151,9 +151,9 @@ def residual_image(residual: Tensor) -> Tensor:
 
 
 def quantile_misfit(simulated: ArrayLike, actual: Sequence[float]) -> Array:
-    """Differences of the quantiles of a sample from those of another, ``[actual]``.
+    """Differences between the quantiles of two samples, ``[actual]``.
 
-    The mean of their absolute values is the Wasserstein-1 distance where the samples are of one size.
+    The mean of their absolute values is the Wasserstein-1 distance if the samples have equal size.
     """
     places = (np.arange(len(actual)) + 0.5) / len(actual)
     return np.quantile(np.asarray(simulated), places, method="hazen") - np.sort(actual)
@@ -183,9 +183,9 @@ def _observed(trials: Sequence[FrozenTrial], box: Box) -> Observed | None:
 
 
 def propose(observed: Observed, limit: float, count: int, rng: np.random.Generator) -> Array:
-    """A limited number of points at which the first objective is expected below a limit, and the second to be low.
+    """Points at which the first objective is expected to be below a limit and the second to be low.
 
-    They are ``[point, parameter]``, in the unit box.
+    They have the shape ``[point, parameter]`` and are in the unit box.
     """
     foreseen = _Losses(observed)
     rise = max(limit / foreseen.lowest_loss - 1.0, 1e-3)
@@ -194,7 +194,7 @@ def propose(observed: Observed, limit: float, count: int, rng: np.random.Generat
     whole = observed.near(limit)
     order = np.flatnonzero(whole)[np.argsort(np.square(observed.misfits[whole]).sum(1), kind="stable")]
     returns = Surrogate(observed.points[order[:LEARNED]], observed.misfits[order[:LEARNED]])
-    # along what the level set leaves free, as far as two of its points are apart
+    # along differences between points of the level set
     within = order[observed.losses[order] <= limit]
     begin = observed.points[(within if len(within) else order)[:BEST]]
     across = pool[rng.integers(0, len(pool), LEAPS)] - pool[rng.integers(0, len(pool), LEAPS)]
@@ -218,7 +218,7 @@ def propose(observed: Observed, limit: float, count: int, rng: np.random.Generat
 
 
 class _Losses:
-    """Predicts the first objective: the expected square of the image, corrected by the error of nearby images."""
+    """Predicts the first objective as the expected square of the image, corrected by the error of nearby images."""
 
     def __init__(self, observed: Observed):
         order = np.argsort(observed.losses, kind="stable")[:LEARNED]
@@ -237,6 +237,6 @@ class _Losses:
         return (mean + variance).numpy() * np.exp(self._correction.weights(unit).numpy() @ self._off)
 
     def draw(self, rise: float, rng: np.random.Generator) -> Array:
-        """Points at which the objective is expected to be above its lowest by this share of it at most."""
+        """Points at which the objective is expected to exceed its minimum by at most this share."""
         gradient, curvature = self._images.slope(torch.from_numpy(self._lowest))
         return draw_level_set(self._lowest, curvature, gradient, rise * self._image_loss, DRAWS, rng)

@@ -1,4 +1,4 @@
-"""Difference of a prediction from a log: the paper's loss, its terms, and residuals for least squares."""
+"""Difference between a prediction and a log: the paper's loss, its terms, and residuals for least squares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
@@ -21,25 +21,25 @@ UNIT_WEIGHTS: Mapping[tuple[str, str], float] = {
 """Weights of paper eq. (7): one for every channel, in rad, rad/s and A."""
 
 FAILED_RESIDUAL = 10.0
-"""Residual of every sample of a simulation that diverged; far beyond any real one."""
+"""Residual of every sample of a diverged simulation; far larger than any real residual."""
 
 
 @settings("loss")
 class TrajectoryLoss:
     """Paper eq. (7), with a weight per channel.
 
-    ``1/T sum_t (|r|^2 + |dr|^2) + 1/(N T) sum_t sum_i (q^2 + w^2 + I^2)`` of simulated minus measured values:
-    orientation r as roll and pitch [rad], body rates dr [rad/s], joint angles q [rad], velocities w [rad/s] and
-    currents I [A] over N focusing joints and T rows. Channels that a log does not have do not count.
+    ``1/T sum_t (|r|^2 + |dr|^2) + 1/(N T) sum_t sum_i (q^2 + w^2 + I^2)`` with differences (simulated minus measured)
+    of orientation r as roll and pitch [rad], body rates dr [rad/s], joint angles q [rad], velocities w [rad/s] and
+    currents I [A] over N focusing joints and T rows. Missing channels are ignored.
 
-    With a `robust_scale` c, a square d^2 is replaced by ``2 c (sqrt(d^2 + c^2) - c)``: it stays d^2 for small
+    With a `robust_scale` c, a square d^2 is replaced by ``2 c (sqrt(d^2 + c^2) - c)``: it remains d^2 for small
     differences and grows like ``2 c |d|`` for large ones, so that a few outlying runs do not dominate (pseudo-Huber).
 
     Attributes:
-        joints: focusing joints; all joints of a log where empty.
-        weights: by channel. The paper's are one.
+        joints: focusing joints; empty: all joints of a log.
+        weights: weights by channel; one in the paper.
         robust_scale: c, in the unit of the channels; None for squares.
-        skip: time at the beginning of a log that is omitted [s]. The initial contact forces are not in the log, and
+        skip: time omitted at the beginning of a log [s], because the initial contact forces are not in the log but
             determine when the joints first break away.
     """
 
@@ -52,42 +52,42 @@ class TrajectoryLoss:
         unknown = ", ".join("/".join(key) for key in self.weights if key not in CHANNELS)
         if unknown or not self.weights:
             names = ", ".join("/".join(key) for key in UNIT_WEIGHTS)
-            raise ValueError(f"weights: unknown channel {unknown or 'list (empty)'}; weigh channels such as {names}")
+            raise ValueError(f"weights: unknown channel {unknown or 'list (empty)'}; use channels such as {names}")
 
     def columns(self, log: Rollout) -> list[int]:
         """Indices of the focusing joints in a log's joint axis.
 
         Raises:
-            LogError: if the log does not have one of them.
+            LogError: if the log lacks one of them.
         """
         missing = [joint for joint in self.joints if joint not in log.joints]
         if missing:
             raise LogError(
                 f"the log has no joint {', '.join(missing)}",
-                f"choose some of {', '.join(log.joints)}",
+                f"choose from {', '.join(log.joints)}",
                 source=log.metadata.recording,
                 column="joints",
             )
         return [log.joints.index(joint) for joint in self.joints] or list(range(len(log.joints)))
 
     def first_row(self, log: Rollout) -> int:
-        """The first row that counts.
+        """Index of the first compared row.
 
         Raises:
-            LogError: if none does.
+            LogError: if no row is compared.
         """
         time = log.array("time")[:, 0]
         row = int(np.searchsorted(time, time[0] + self.skip - 1e-9))
         if row >= len(time):
             raise LogError(
                 f"the log lasts {time[-1] - time[0]:.2f} s, of which the first {self.skip:g} s are omitted",
-                "lower `skip`, or record for longer",
+                "lower `skip`, or record a longer log",
                 source=log.metadata.recording,
             )
         return row
 
     def differences(self, prediction: Prediction) -> dict[tuple[str, str], Tensor]:
-        """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``, from the first row that counts.
+        """Simulated minus measured, by channel, ``[candidate, time, joint | axis]``, from the first compared row.
 
         Raises:
             LogError: if the log has none of the weighted channels.
@@ -103,7 +103,7 @@ class TrajectoryLoss:
             measured = torch.from_numpy(log.array(key)[: simulated.shape[1]])
             difference = simulated[:, first:] - measured[first:]
             if group == "joint":
-                kept = log.measured(key)  # what was set aside is no error of 0
+                kept = log.measured(key)  # excluded columns must not count as zero error
                 difference = difference[..., [column for column in columns if kept[column]]]
             elif key == ("imu", "orientation"):
                 difference = _wrap(difference[..., :2])
@@ -111,15 +111,15 @@ class TrajectoryLoss:
                 result[key] = difference
             elif key == ("joint", "position"):
                 raise LogError(
-                    f"the positions of {', '.join(self.joints)} were set aside",
-                    "leave this log out, or choose other joints",
+                    f"the positions of {', '.join(self.joints)} were excluded by the checks",
+                    "omit this log, or choose other joints",
                     source=log.metadata.recording,
                 )
         if not result:
             names = ", ".join("/".join(key) for key in self.weights)
             raise LogError(
                 "the log has no channel to compare",
-                f"record at least one of {names}",
+                f"record at least one of the channels {names}",
                 source=log.metadata.recording,
             )
         return result
@@ -134,7 +134,7 @@ class TrajectoryLoss:
         return result
 
     def mean_terms(self, predictions: Sequence[Prediction]) -> dict[str, Tensor]:
-        """The terms by name of the channel, ``[candidate]``, averaged over the logs that have it."""
+        """The terms by channel name, ``[candidate]``, averaged over the logs that have the channel."""
         terms = [self.terms(prediction) for prediction in predictions]
         keys = sorted({key for term in terms for key in term})
         return {"/".join(key): torch.stack([term[key] for term in terms if key in term]).mean(0) for key in keys}
@@ -159,11 +159,11 @@ class TrajectoryLoss:
         return torch.cat(parts, 1)
 
     def failed_loss(self, logs: int) -> float:
-        """A loss over this number of logs that is reached only if at least one simulation diverged."""
+        """A loss over this number of logs that only occurs if at least one simulation diverged."""
         return 0.5 * FAILED_RESIDUAL**2 * min(weight for weight in self.weights.values() if weight > 0) / logs
 
     def _tamed(self, difference: Tensor) -> Tensor:
-        """Differences whose squares are the loss: unchanged, or their pseudo-Huber roots."""
+        """Differences whose squares give the loss: unchanged, or transformed by the pseudo-Huber function."""
         if self.robust_scale is None:
             return difference
         c = self.robust_scale
@@ -172,7 +172,7 @@ class TrajectoryLoss:
 
 
 def position_error(predictions: Sequence[Prediction], joints: Sequence[str] = ()) -> Tensor:
-    """Mean absolute position error [rad] per log over some joints or all, ``[candidate, log]``; NaN where failed."""
+    """Mean absolute position error [rad] per log over the given or all joints, ``[candidate, log]``; NaN if failed."""
     focus = TrajectoryLoss(tuple(joints))
     errors = []
     for prediction in predictions:

@@ -1,8 +1,8 @@
 """The final steps to the minimum, and the sensitivities there.
 
-Gauss-Newton with the differences of `op3.identify.sensitivity`: along combinations of parameters, and as long
-as an interval. The matrix that determines the intervals is therefore the one that guided the search, and a valley in
-which parameters trade off is followed along its length.
+Gauss-Newton steps use the differences of `op3.identify.sensitivity`, which run along combinations of parameters and are
+as long as an interval. Intervals therefore come from the matrix that guided the search, and the search follows a valley
+in which parameters trade off along its length.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,10 +14,10 @@ from op3.identify.refine import least_squares
 from op3.identify.sensitivity import Array, Box, Residuals, Sensitivity, sensitivity_at, simulate
 
 GAIN = 1e-3
-"""Smallest decrease of the loss per step, as a share of it; a smaller one ends the refinement."""
+"""Smallest relative decrease of the loss per step; a smaller decrease ends the refinement."""
 
 LENGTHENED = 2
-"""Number of times that too short difference steps are lengthened."""
+"""How often difference steps that are too short are lengthened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +43,12 @@ def polish(
     """Take a number of steps, each after a batch of 2 n differences; then compute the sensitivities.
 
     Args:
-        residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
-        values: the point to start from; outside the box it is clipped.
-        steps: at most; 0 measures the sensitivities only.
+        residuals: maps points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
+        values: the initial point, clipped to the box.
+        steps: largest number of steps; 0 only computes the sensitivities.
         curvature: estimate of the Jacobian's product with itself, ``[parameter, parameter]``; None: unknown.
-        known: residual at the point to start from, ``[residual]``; None: it is simulated.
-        failed_loss: a squared length of the residual that only a diverged simulation has.
+        known: residual at the initial point, ``[residual]``; None: it is simulated.
+        failed_loss: squared length of the residual that only a diverged simulation reaches.
     """
     unit = box.unit(values)
     residual = simulate(residuals, unit[None])[0] if known is None else known

@@ -1,4 +1,4 @@
-"""How well a model predicts logs, with intervals: errors per channel, joint and trajectory of open-loop replays."""
+"""Errors of a model's open-loop predictions of logs, per channel, joint and trajectory, with intervals."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from op3.rollout import Rollout
 from op3.servo import Estimate, RobotModel
 
 FEWEST_LOGS = 5
-"""Fewer logs than this are each cut into blocks, and the bootstrap draws blocks instead of logs."""
+"""With fewer logs, each log is cut into blocks, and the bootstrap draws blocks instead of logs."""
 
 BLOCKS = 10
 """Blocks of equal length per log."""
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 ERROR, EQ7 = ("error_mrad",), ("paper_eq7",)
 CHANNEL, JOINT, TRAJECTORY = "channel", "joint", "trajectory"
-"""Kinds of errors, followed by the channel, channel and joint, or motion."""
+"""Kinds of errors, each followed by channel, channel and joint, or motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class LogScore:
     """Error of a model on one log.
 
     Attributes:
-        error_mrad: mean absolute joint position error [mrad]; None where the simulation diverged.
-        paper_eq7: paper eq. (7) with unit weights; None where it diverged.
+        error_mrad: mean absolute joint position error [mrad]; None if the simulation diverged.
+        paper_eq7: paper eq. (7) with unit weights; None if the simulation diverged.
         seen: whether the model was fitted to this log.
     """
 
@@ -51,7 +51,7 @@ class PredictionScore:
         error_mrad: mean absolute joint position error, averaged over logs [mrad].
         paper_eq7: paper eq. (7) with unit weights, averaged over logs.
         channels: root mean square error by channel, in the channel's unit.
-        joints: the same by channel and joint or axis.
+        joints: root mean square error by channel, and joint or axis.
         trajectories: position error by motion [mrad].
         clusters: units of the bootstrap: ``logs`` or ``blocks``.
     """
@@ -75,15 +75,14 @@ def predict_logs(
     bench_timestep: float = BENCH_CONTROL_PERIOD,
     seed: int = 0,
 ) -> PredictionScore:
-    """Replay logs with a model, open loop, and measure the errors.
+    """Replay logs open loop with a model, and measure the errors.
 
-    Where there are at least `FEWEST_LOGS` logs, whole logs are drawn with replacement: rows of one log are not
-    independent. Where there are fewer, each is cut into `BLOCKS` that are drawn; such intervals do not cover other
-    motions.
+    With at least `FEWEST_LOGS` logs, the bootstrap draws whole logs with replacement, because rows of one log are not
+    independent. With fewer logs, it draws from `BLOCKS` blocks per log, so the intervals do not cover other motions.
 
     Args:
-        model: values under a condition that a log meets replace the shared ones.
-        joints: joints whose traces count; all of a log where empty.
+        model: model; for logs that meet a condition, values under this condition replace shared values.
+        joints: compared joints; empty: all joints of a log.
         bench_timestep: simulation step of bench logs [s].
 
     Raises:
@@ -101,7 +100,7 @@ def score_predictions(
     seed: int = 0,
     simulated_seconds: float = 0.0,
 ) -> PredictionScore:
-    """Measure the errors of predictions of one candidate; see `predict_logs`."""
+    """Measure the errors of given predictions; see `predict_logs`."""
     loss = TrajectoryLoss(tuple(joints))
     blocks = 1 if len(predictions) >= FEWEST_LOGS else BLOCKS
     scores, pooled = [], defaultdict(list)
@@ -131,14 +130,14 @@ def score_predictions(
 
 
 def was_fitted(model: RobotModel, log: Rollout) -> bool:
-    """Whether a model was fitted to this log, according to its file."""
+    """Whether a model was fitted to this log, according to the model file."""
     return log.fingerprint() in (model.provenance.get("fitted_logs") or ())
 
 
 def _cluster_errors(
     loss: TrajectoryLoss, prediction: Prediction, blocks: int
 ) -> tuple[Array, dict[tuple[str, ...], Array]]:
-    """One log in clusters ``[cluster]``: weights that add up to one, and mean errors by kind.
+    """One log divided into clusters ``[cluster]``: weights with sum one, and mean errors by kind.
 
     Errors of channels and joints are mean squares.
     """
@@ -156,13 +155,13 @@ def _cluster_errors(
         body = key.startswith("imu/")
         names = axes[key] if body else [log.joints[column] for column in columns if log.measured(key)[column]]
         errors |= {(CHANNEL, key): squares.mean(1)} | {(JOINT, key, n): squares[:, i] for i, n in enumerate(names)}
-        # eq. (7) takes the body's vectors by their length and the joints on average
+        # eq. (7) uses the length of the body's vectors and the mean over joints
         errors[EQ7] = errors[EQ7] + (squares.sum(1) if body else squares.mean(1))
     return np.array([m.mean() for m in members]), errors
 
 
 def _mean(parts: Sequence[tuple[Array, Array]], seed: int) -> Estimate:
-    """Weighted mean over the clusters of all logs with its interval, from values and weights of each log."""
+    """Weighted mean over the clusters of all logs, with its interval."""
     values, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
     low, high = bootstrap_interval(values, weights, seed=seed)
     return Estimate(float(weights @ values / weights.sum()), low, high)

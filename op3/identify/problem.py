@@ -1,4 +1,4 @@
-"""An identification problem: logs, a model to start from, and the parameters to find."""
+"""An identification problem: logs, an initial model, and the searched parameters."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,14 +14,14 @@ from op3.rollout import Rollout
 from op3.servo import RobotModel
 
 KEPT = 128
-"""Number of the latest evaluated parameter sets whose residuals are kept."""
+"""Number of recent parameter sets whose residuals are kept."""
 
 
 class Problem:
-    """Evaluates parameter sets on logs, many at once.
+    """Evaluates many parameter sets at once on logs.
 
     Args:
-        model: effects that are on, and values of parameters that are not given.
+        model: active effects, and values of all other parameters.
         replay: options of `op3.replay.Replay`.
     """
 
@@ -36,8 +36,8 @@ class Problem:
         """Simulate the logs.
 
         Args:
-            parameters: by name, which may carry a condition: ``[candidate, joint]``, or shared ones ``[candidate]``;
-                with these, joints with separate values change in proportion (`RobotModel.for_joints`).
+            parameters: values by name, possibly with a condition: ``[candidate, joint]``, or shared values
+                ``[candidate]``, which scale the values of joints in proportion (`RobotModel.for_joints`).
         """
         self.simulated_seconds += self.replay.seconds * candidates
         joints = self.replay.logs[0].joints
@@ -48,7 +48,7 @@ class Problem:
         return self.replay.run(self.model, given, candidates)
 
     def evaluate(self, population: Sequence[Mapping[str, float]]) -> list[TrialOutcome]:
-        """The loss of every parameter set, and its unweighted terms by channel; all have the same names."""
+        """The loss of every parameter set, and the unweighted terms by channel."""
         predictions = self.predict(columns(population), len(population))
         losses = self.loss(predictions)
         self._keep(population, self.loss.residuals(predictions))
@@ -67,7 +67,7 @@ class Problem:
             del self._kept[key]
 
     def residuals_of(self, population: Sequence[Mapping[str, float]]) -> Tensor:
-        """Residuals of parameter sets, ``[candidate, residual]``; recently evaluated ones are not simulated again."""
+        """Residuals of parameter sets, ``[candidate, residual]``; recently evaluated sets are not simulated again."""
         missing = [member for member in population if _key(member) not in self._kept]
         found = {_key(member): self._kept[_key(member)] for member in population if member not in missing}
         if missing:

@@ -1,4 +1,4 @@
-"""Bounded least squares from the best points of a search, by scipy; every Jacobian is one batch of simulations."""
+"""Bounded least squares with scipy from the best points of a search; every Jacobian is one batch of simulations."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from scipy import optimize
 from op3.identify.sensitivity import Array, Box, Residuals, simulate
 
 DIFFERENCE_STEP = 2e-3
-"""Step of finite differences, as a share of a parameter's range: above the kinks of stiction, below curvature."""
+"""Step of finite differences, as a share of a parameter's range: above stiction's kinks, below curvature."""
 
 TRIES = 4
-"""Points that may be simulated per step on average: if a step does not lower the loss, a shorter one is tried."""
+"""Average number of simulated points allowed per step; a step that does not lower the loss is shortened."""
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """End of least squares from the best starting point, and the best loss before and after every iteration."""
+    """Result of least squares from the best starting point, and the best loss before and after every iteration."""
 
     values: Mapping[str, float]
     loss: float
@@ -35,10 +35,10 @@ def refine(
     """Least squares from several starting points.
 
     Args:
-        residuals: points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
-        starts: values to start from; those outside the box are clipped.
+        residuals: maps points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``.
+        starts: initial values, clipped to the box.
         max_iterations: largest number of Jacobians per starting point.
-        tolerance: a start has converged when an iteration lowers its loss by less than this share.
+        tolerance: a start has converged if an iteration lowers its loss by less than this share.
     """
     history = [np.inf]
 
@@ -79,8 +79,8 @@ def least_squares(
         residual: residual at the starting point, ``[residual]``.
         jacobian: function of a point and its residual: ``[residual, parameter]``.
         steps: largest number of steps.
-        tolerance: a step that lowers the loss by less than this share is the last.
-        note: called after every step with the loss, the squared length of the residual.
+        tolerance: the search ends after a step that lowers the loss by less than this share.
+        note: function that is called after every step with the loss, the squared length of the residual.
 
     Returns:
         The last point and its residual.

@@ -1,6 +1,6 @@
-"""Registers with Hydra what the configs need: the sweeper, groups of effects, motions, and interpolations.
+"""Registers the sweeper, effect groups, motions and interpolations with Hydra for use in configs.
 
-Nothing of the library is imported for it until an interpolation is resolved.
+The library is not imported until an interpolation is resolved.
 """
 
 from functools import cache
@@ -19,7 +19,7 @@ INTERPOLATIONS = ("range", "value", "start", "own", "each_joint")
 
 
 def register() -> None:
-    """Register them with Hydra and OmegaConf; a repeated call does nothing unless effects have been added."""
+    """Register everything with Hydra and OmegaConf; a repeated call does nothing unless effects have been added."""
     _register(tuple(search_groups.searched_parameters().items()))
 
 

@@ -1,10 +1,10 @@
-"""Interpolations for configs, so that ranges and values are written once: in the catalogue and in model files.
+"""Interpolations that let configs refer to ranges in the catalogue and values in model files.
 
-``${range:torque_constant}`` is the catalogue's range as ``interval(0.003, 0.009)``; ``${value:torque_constant}`` is
-the value in the model that the config's key ``model`` names; ``${start:torque_constant}`` is the same, moved into the
-catalogue's range. ``${own:torque_constant,0.1,1.5}`` is the range ``interval(0.1, 1.5)`` if that model has the
-parameter, else null, which is not searched; if the model has values under conditions, those are searched instead of the
-shared one. ``${each_joint:}`` is what the sweeper searches once for each joint, by the config's `per_joint`.
+``${range:torque_constant}`` is the catalogue's range as ``interval(0.003, 0.009)``; ``${value:torque_constant}`` is the
+value in the config's ``model``; ``${start:torque_constant}`` is this value clipped to the catalogue's range.
+``${own:torque_constant,0.1,1.5}`` is the range ``interval(0.1, 1.5)`` if that model has the parameter, otherwise null,
+so that it is not searched. If the model has values under conditions, these are searched instead of the shared value.
+``${each_joint:}`` lists the parameters in the config's `per_joint`, which the sweeper searches once per joint.
 `op3.identify.registration` registers them.
 """
 
@@ -20,11 +20,11 @@ from op3.servo.conditions import split_name
 from op3.sim import model_for
 
 MARGIN = 3.0
-"""Motor and friction parameters are searched within this factor of the values of the robot's servo makes."""
+"""Motor and friction parameters are searched within this factor of the values in the robot's servo files."""
 
 
 def chosen_robot(config: DictConfig) -> Robot:
-    """The robot that a config is about: its `robot`, else that of its `data`, else the OP3."""
+    """The robot of a config: its `robot`, otherwise the robot of its `data`, otherwise the OP3."""
     if config.get("robot"):
         return load_robot(config.robot)
     if "data" in config and not OmegaConf.is_missing(config, "data"):
@@ -37,17 +37,17 @@ def chosen_robot(config: DictConfig) -> Robot:
 def _robot_of(data: Any) -> Robot:
     try:
         return robot_of(data)
-    except ValueError:  # that these are no logs is said where they are read
+    except ValueError:  # reading the logs reports this error
         return load_robot(DEFAULT)
 
 
 def chosen_model(config: DictConfig) -> RobotModel:
-    """The model that a config starts from: its `model`, else the robot's own."""
+    """The initial model of a config: its `model`, otherwise the robot's model."""
     return model_for(chosen_robot(config), config.get("model"))
 
 
 def _bounds(name: str, config: DictConfig) -> tuple[float, float]:
-    """The catalogue's range; for a model built from a robot's servo makes, a range around their values."""
+    """The catalogue's range; for a model built from servo files, a range around their values."""
     known = parameter(name)
     if config.get("model") or chosen_robot(config).file.law:
         return known.low, known.high
@@ -59,7 +59,7 @@ def _bounds(name: str, config: DictConfig) -> tuple[float, float]:
 
 
 def _of_the_base(known: Parameter) -> bool:
-    """Whether a parameter belongs to the body that carries the rest."""
+    """Whether a parameter belongs to the base body."""
     return any(
         edit.target == "base_body" and edit.parameter == known.name
         for effect in catalogue().values()
@@ -68,10 +68,10 @@ def _of_the_base(known: Parameter) -> bool:
 
 
 def range_of(name: str, *, _root_: DictConfig) -> str | None:
-    """The searched range of a parameter; None if these logs cannot show the parameter."""
+    """The searched range of a parameter; None if these logs contain no information about it."""
     robot = chosen_robot(_root_)
     if (robot.file.fixed or robot.file.base is None) and _of_the_base(parameter(name)):
-        return None  # what is bolted down shows neither mass nor centre of mass
+        return None  # mass and centre of mass of a fixed body are not observable
     low, high = _bounds(name, _root_)
     return f"interval({low!r}, {high!r})"
 
@@ -79,13 +79,13 @@ def range_of(name: str, *, _root_: DictConfig) -> str | None:
 def value_of(name: str, *, _root_: DictConfig) -> float:
     """A parameter's value in the model."""
     model = chosen_model(_root_)
-    # a group may name a parameter of an effect that this model has switched off: it starts from its nominal value
+    # a parameter of a switched-off effect starts from its nominal value
     base, _ = split_name(name)
     return model.estimate(name).value if base in model.parameters() else parameter(base).nominal
 
 
 def own_of(name: str, low: float, high: float, *, _root_: DictConfig) -> str | None:
-    """This range if the model has the parameter, else None."""
+    """This range if the model has the parameter, otherwise None."""
     model = chosen_model(_root_)
     base, condition = split_name(name)
     if base not in model.parameters():
@@ -104,6 +104,6 @@ def each_joint_of(*, _root_: DictConfig) -> dict[str, list[str]]:
 
 
 def start_of(name: str, *, _root_: DictConfig) -> float:
-    """A parameter's value in the model, moved into its range."""
+    """A parameter's value in the model, clipped to its range."""
     low, high = _bounds(name, _root_)
     return min(max(value_of(name, _root_=_root_), low), high)

@@ -1,4 +1,4 @@
-"""The outcome of a study as a YAML file, in the form that hydra-optuna-sweeper users know."""
+"""The results of a study as a YAML file in the format of hydra-optuna-sweeper."""
 
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,9 @@ def summarize(study: optuna.Study) -> dict[str, Any]:
     """Summarise a study as plain data.
 
     Returns:
-        `name`, `study_name`, `n_trials`, `n_failed`; with one objective `best_value`, `best_params`,
-        `best_trial`, and `nominal_value`; with several `solutions`, the Pareto front in the order of the
-        trials, each with `trial`, `params` and `values`. Values are None without a complete trial.
+        `name`, `study_name`, `n_trials`, `n_failed`; with one objective `best_value`, `best_params`, `best_trial`, and
+        `nominal_value`; with several objectives `solutions`, the Pareto front in the order of the trials, each with
+        `trial`, `params` and `values`. Values are None if no trial completed.
     """
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     failed = study.get_trials(deepcopy=False, states=(TrialState.FAIL,))

@@ -1,8 +1,8 @@
-"""Optuna's samplers by plain names, set up for populations.
+"""Optuna's samplers by short names, configured for populations.
 
 A study builds a fresh sampler for every population, seeded by the study's seed and the number of finished trials. The
 next population therefore depends only on the stored trials, and a resumed study continues like an uninterrupted one.
-This requires samplers that store their state in the trials, as all those below do.
+This requires samplers that store their state in the trials, as all samplers in this module do.
 """
 
 import functools
@@ -17,7 +17,7 @@ from op3.identify.level_set_sampler import LevelSetSampler
 from op3.identify.search_space import StudyError
 
 SamplerFactory = Callable[[int], BaseSampler]
-"""Makes the sampler of one population from its seed."""
+"""Builds the sampler of one population from its seed."""
 
 
 _BY_NAME: Mapping[str, type[BaseSampler]] = {
@@ -36,12 +36,12 @@ def make_sampler_factory(
     directions: int = 1,
     nominal: Mapping[str, Any] | None = None,
 ) -> SamplerFactory:
-    """Choose how new parameters are proposed.
+    """Choose the sampler that proposes new parameters.
 
     Args:
         sampler: a name (`tpe`, `cmaes`, `nsga2`, `nsga2+surrogate`, `random`), or `{name: tpe, **options}`.
-        population: number of trials requested at once. CMA-ES and NSGA-II take a generation of 7/8 of it,
-            so that a few failed trials do not cost a generation.
+        population: number of trials requested at once. CMA-ES and NSGA-II use 7/8 of it as a generation, so that a few
+            failed trials do not delay a generation.
         directions: number of objectives.
         nominal: the nominal parameters, where CMA-ES starts.
 
@@ -54,12 +54,12 @@ def make_sampler_factory(
     if name not in _BY_NAME:
         raise StudyError(f"The sampler {name!r} is unknown: use one of {', '.join(_BY_NAME)}.")
     if directions > 1 and name == "cmaes":
-        raise StudyError(f"The sampler {name!r} takes one objective, the study has {directions}: use nsga2.")
+        raise StudyError(f"The sampler {name!r} takes one objective, but the study has {directions}: use nsga2.")
     factory = functools.partial(_build, _BY_NAME[name], _defaults(name, population, nominal) | options)
     try:
         factory(0)
     except (TypeError, ValueError, ImportError) as error:
-        raise StudyError(f"The sampler {name!r} does not take these options: {error}.") from error
+        raise StudyError(f"The sampler {name!r} does not accept these options: {error}.") from error
     return factory
 
 
@@ -76,11 +76,11 @@ def _defaults(name: str, population: int, nominal: Mapping[str, Any] | None) -> 
     """Default options of a sampler."""
     generation = max(2, population - population // 8)
     if name == "tpe":
-        # Multivariate TPE models the parameters together and costs a third of the default. Penalising the points of
-        # the same population (constant_liar) found nothing better on an 11-parameter bowl with populations of 64.
+        # Multivariate TPE models the parameters together and costs a third of the default. Penalising the points of the
+        # same population (constant_liar) found no better values on an 11-parameter quadratic with populations of 64.
         return {"multivariate": True, "constant_liar": False}
     if name == "cmaes":
-        # Below 5, cmaes has no selection to speak of; None lets it choose by the dimension.
+        # With fewer than 5, cmaes has hardly any selection; None lets it choose from the dimension.
         popsize = generation if population >= 6 else None
         return {"x0": dict(nominal) if nominal else None, "popsize": popsize, "warn_independent_sampling": False}
     if name.startswith("nsga2"):

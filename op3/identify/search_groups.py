@@ -1,8 +1,8 @@
-"""Config groups made from the catalogue of effects: what ``effect=[name]`` and ``groups=[name]`` bring into a config.
+"""Config groups derived from the catalogue of effects, for ``effect=[name]`` and ``groups=[name]``.
 
 ``effect=[name]`` switches an effect on in the model and searches its parameters; ``groups=[name]`` only searches them,
-for a model in which it is on. Both take every effect that has parameters to search. Groups of the paper's Table I join
-parameters of several effects.
+for a model in which the effect is on. Both accept every effect that has parameters to search. Groups of the paper's
+Table I combine parameters of several effects.
 """
 
 import sys
@@ -20,7 +20,7 @@ TABLE_ONE: Mapping[str, Sequence[str]] = {
     "body": ("base_mass_offset", "base_com_offset_x", "base_com_offset_z"),
     "stribeck_velocity": ("stribeck_velocity",),
 }
-"""Groups of the paper's Table I, and the Stribeck velocity, which it does not give."""
+"""Groups of the paper's Table I, plus the Stribeck velocity, which the table omits."""
 
 
 SEARCHED = Path(__file__).with_name("searched_parameters.yaml")
@@ -28,7 +28,7 @@ SEARCHED = Path(__file__).with_name("searched_parameters.yaml")
 
 
 def searched_parameters() -> dict[str, tuple[str, ...]]:
-    """Searched parameters of each effect by its name; those of a user's effects once the catalogue is imported."""
+    """Searched parameters by effect name; a user's effects are included once the catalogue is imported."""
     if "op3.servo" not in sys.modules:
         return {name: tuple(names) for name, names in read_yaml(SEARCHED).items()}
     from op3.servo import catalogue
@@ -38,7 +38,7 @@ def searched_parameters() -> dict[str, tuple[str, ...]]:
 
 
 def search(names: Sequence[str]) -> dict[str, Any]:
-    """The part of a config that searches parameters: their starts, and their ranges for the sweeper."""
+    """The part of a config with the initial values and the sweeper's ranges of parameters."""
     return {
         "parameters": {name: f"${{start:{name}}}" for name in names},
         "hydra": {"sweeper": {"params": {f"parameters.{name}": f"${{range:{name}}}" for name in names}}},

@@ -1,7 +1,7 @@
-"""The search space: which config keys an identification varies, and between which values.
+"""The search space: the config keys that an identification varies, and their ranges.
 
-A range is text in Hydra's own override grammar: ``interval(0.003, 0.009)`` is any number between the two, ends
-included, and ``tag(log, interval(1e-3, 1.0))`` the same, sampled evenly in the logarithm.
+A range is written in Hydra's override grammar: ``interval(0.003, 0.009)`` means any number between the two ends
+inclusive, and ``tag(log, interval(1e-3, 1.0))`` is sampled uniformly in the logarithm.
 """
 
 import json
@@ -15,7 +15,7 @@ from hydra.errors import HydraException
 from optuna.distributions import FloatDistribution, distribution_to_json
 
 SearchSpace = dict[str, FloatDistribution]
-"""Config key -> the values it may take."""
+"""Config key -> range of values."""
 
 
 class StudyError(ValueError):
@@ -27,11 +27,10 @@ def parse_search_space(params: Mapping[str, Any] | None) -> SearchSpace:
 
     Args:
         params: config key -> range in Hydra's grammar. A nested mapping `{"motor": {"kt": ...}}` means the dotted key
-            `motor.kt`, because that is what a command line override makes. A range of null takes the key out of the
-            search.
+            `motor.kt`, because overrides create nested mappings. A range of null removes the key from the search.
 
     Raises:
-        StudyError: if there is no parameter, or a range is not one.
+        StudyError: if there are no parameters, or a range is invalid.
     """
     flat = {key: text for key, text in _flatten(params or {}).items() if text is not None}
     if not flat:
@@ -52,16 +51,16 @@ def parse_range(key: str, text: Any) -> FloatDistribution:
             raise ValueError(f"the only tag is `log`, got {', '.join(sorted(sweep.tags))}")
         low, high, log = sweep.start, sweep.end, "log" in sweep.tags
         if not (isinstance(low, float) and isinstance(high, float) and math.isfinite(low) and math.isfinite(high)):
-            raise ValueError("the ends must be finite numbers")
+            raise ValueError("its ends are not finite numbers")
         if low >= high:
-            raise ValueError(f"the lower end {low:g} is not below the upper end {high:g}")
+            raise ValueError(f"its lower end {low:g} is not below its upper end {high:g}")
         if log and low <= 0:
-            raise ValueError(f"a logarithm needs a lower end above 0, not {low:g}")
+            raise ValueError(f"its logarithm needs a lower end above 0, got {low:g}")
         return FloatDistribution(low, high, log=log)
     except (HydraException, ValueError) as error:
         reason = str(error).strip().splitlines()[0]
         raise StudyError(
-            f"{key}: {reason}, and so {text!r} is not a range: write interval(low, high) or"
+            f"{key}: {reason}, so {text!r} is not a valid range: write interval(low, high) or"
             " tag(log, interval(low, high))."
         ) from error
 
@@ -69,10 +68,10 @@ def parse_range(key: str, text: Any) -> FloatDistribution:
 def check_nominal(search_space: SearchSpace, nominal: Mapping[str, Any]) -> dict[str, float]:
     """The nominal value of every parameter, in the order of the search space.
 
-    The nominal trial is the baseline every other trial is compared with, so it must be one the samplers can learn from.
+    The nominal trial is compared with every other trial, so the samplers must be able to learn from it.
 
     Raises:
-        StudyError: if one is missing or lies outside its range.
+        StudyError: if a value is missing or outside its range.
     """
     checked = {}
     for key, known in search_space.items():
@@ -80,12 +79,12 @@ def check_nominal(search_space: SearchSpace, nominal: Mapping[str, Any]) -> dict
         if value is None:
             raise StudyError(
                 f"{key}: the config gives no nominal value: set `{key}` in the config, "
-                "or start without one by nominal=false."
+                "or disable the nominal trial with nominal=false."
             )
         if not isinstance(value, int | float) or not known.low <= value <= known.high:
             raise StudyError(
                 f"{key}: the nominal value {value!r} is outside interval({known.low:g}, {known.high:g}): widen the "
-                "range, change the nominal value, or start without one by nominal=false."
+                "range, change the nominal value, or disable the nominal trial with nominal=false."
             )
         checked[key] = float(value)
     return checked

@@ -1,4 +1,4 @@
-"""Sensitivity of residuals to parameters: the matrix behind intervals and identifiability."""
+"""Sensitivity of residuals to parameters, which determines intervals and identifiability."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ Residuals = Callable[[Tensor], Tensor]
 """Points of the unit box ``[candidate, parameter]`` to ``[candidate, residual]``."""
 
 FIRST_ARM = 1e-2
-"""First difference steps along the parameters, as a share of a range."""
+"""Initial difference steps along the parameters, as a share of the range."""
 
 SHORTEST, LONGEST = 5e-3, 0.3
 """Bounds of difference steps along combinations of parameters, as a share of the ranges."""
 
 RISE = 0.05
-"""Share of the loss by which a difference step should raise it, unless jumps of the loss require more."""
+"""A difference step should raise the loss by this share, unless jumps of the loss require more."""
 
 ABOVE_JUMPS = 4.0
 """A difference step should raise the loss by this multiple of its jumps, so that single jumps do not dominate."""
 
 TAKES_PART = 0.5
-"""If both steps along a direction diverge, parameters with at least this component of it are not identifiable."""
+"""If both steps along a direction diverge, parameters with at least this component are not identifiable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """The ranges searched; their points have coordinates from 0 to 1.
+    """The searched ranges; points have coordinates from 0 to 1.
 
     Attributes:
-        names: of the parameters.
-        low: lowest value of each, ``[parameter]``.
-        span: length of its range, ``[parameter]``.
+        names: names of the parameters.
+        low: lowest value of each parameter, ``[parameter]``.
+        span: length of each range, ``[parameter]``.
     """
 
     names: tuple[str, ...]
@@ -51,7 +51,7 @@ class Box:
         return cls(tuple(bounds), low, high - low)
 
     def unit(self, values: Mapping[str, float]) -> Array:
-        """The point of these values; beyond the ranges it is clipped."""
+        """The point of these values, clipped to the ranges."""
         return np.clip((np.array([values[name] for name in self.names]) - self.low) / self.span, 0.0, 1.0)
 
     def values(self, unit: Array) -> dict[str, float]:
@@ -61,18 +61,18 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Residuals at a point of a box, and their changes around it, by central differences along directions.
+    """Residuals at a point of a box, and their central differences along several directions.
 
     Attributes:
-        box: of the parameters.
+        box: box of the parameters.
         unit: the point, in shares of the ranges, ``[parameter]``.
-        residual: there, ``[residual]``.
-        jacobian: change of the residual per range, ``[residual, parameter]``.
+        residual: residual at this point, ``[residual]``.
+        jacobian: change of the residual per parameter range, ``[residual, parameter]``.
         jumps: samples of the residual's stiction jumps, from second differences, ``[direction, residual]``.
-        unseen: parameters without an effect, or next to which simulations diverged, ``[parameter]``.
+        unseen: parameters without effect, or close to which simulations diverged, ``[parameter]``.
         curvature: product of the Jacobian with itself, minus the contribution of jumps, ``[parameter, parameter]``.
-        axes: the directions, ``[parameter, direction]``.
-        lengths: of the arms along them, as a share of the ranges, ``[direction]``.
+        axes: directions, ``[parameter, direction]``.
+        lengths: lengths of the steps along the axes, as shares of the ranges, ``[direction]``.
     """
 
     box: Box
@@ -92,14 +92,14 @@ class Sensitivity:
 
     @property
     def long_enough(self) -> bool:
-        """Whether no arm should have been more than twice as long."""
+        """Whether no step should have been more than twice as long."""
         information = np.einsum("pd,pq,qd->d", self.axes, self.curvature, self.axes)
         loss = float(self.residual @ self.residual)
         return bool((_lengths(information, loss, self.jump) <= 2 * self.lengths).all())
 
 
 def simulate(residuals: Residuals, points: Array) -> Array:
-    """Residuals ``[point, residual]`` of points ``[point, parameter]`` as arrays."""
+    """Residuals ``[point, residual]`` at points ``[point, parameter]`` as arrays."""
     return residuals(torch.from_numpy(np.ascontiguousarray(points))).numpy()
 
 
@@ -112,7 +112,7 @@ def sensitivity_at(
     jump: float = 0.0,
     failed_loss: float = np.inf,
 ) -> Sensitivity:
-    """Differences as long as an interval, along the axes of the curvature: one batch of 2 n points.
+    """Differences as long as an interval along the axes of the curvature, in one batch of 2 n points.
 
     Stiction makes residuals jump, and differences along single parameters mistake jumps for sensitivity: if parameters
     trade off, their large influences nearly cancel, and the jumps hide the rest. The residual is therefore compared at
@@ -121,10 +121,10 @@ def sensitivity_at(
 
     Args:
         unit: the point, ``[parameter]``.
-        residual: there, ``[residual]``.
-        curvature: estimate of the Jacobian's product with itself; None for short arms along the parameters.
+        residual: residual at this point, ``[residual]``.
+        curvature: estimate of the Jacobian's product with itself; None for short steps along the parameters.
         jump: known effect of jumps on the squared residual.
-        failed_loss: a squared length of the residual that only a diverged simulation has.
+        failed_loss: squared length of the residual that only a diverged simulation reaches.
     """
     size = len(unit)
     if curvature is None:
@@ -136,19 +136,19 @@ def sensitivity_at(
     ends = np.concatenate([np.clip(unit + offsets, 0.0, 1.0), np.clip(unit - offsets, 0.0, 1.0)])
     simulated = simulate(residuals, ends)
     failed = np.square(simulated).sum(1) >= failed_loss
-    # the other end alone tells the slope where one diverged
+    # if one end diverged, the other end determines the slope
     used, found = np.where(failed[:, None], unit, ends), np.where(failed[:, None], residual, simulated)
     forward, backward = np.linalg.norm(used[:size] - unit, axis=1), np.linalg.norm(used[size:] - unit, axis=1)
     inverse = np.linalg.pinv(used[:size] - used[size:], rcond=1e-6)
     jacobian = (inverse @ (found[:size] - found[size:])).T
-    # a smooth residual lies on the chord between the ends; what it misses by is jumps (and a little curvature)
+    # a smooth residual lies on the chord between the ends; deviations are jumps (and some curvature)
     share = (backward / np.maximum(forward + backward, 1e-12))[:, None]
     chord = share * found[:size] + (1 - share) * found[size:]
     jumps = (chord - residual) / np.sqrt(1 + share**2 + (1 - share) ** 2)
     lost = failed[:size] | failed[size:] if curvature is None else failed[:size] & failed[size:]
     length = np.square(jacobian).sum(0)
     unseen = np.asarray((np.abs(axes[:, lost]) >= TAKES_PART).any(1))
-    if curvature is not None:  # over a short arm a parameter may move nothing because something sticks
+    if curvature is not None:  # a parameter may have no influence over a short step because something sticks
         unseen = unseen | (length <= 1e-9 * max(1e-12, length.max()))
     feigned = (inverse * 2 * np.square(jumps).sum(1)) @ inverse.T
     found = jacobian.T @ jacobian - feigned
@@ -156,6 +156,6 @@ def sensitivity_at(
 
 
 def _lengths(information: Array, loss: float, jump: float) -> Array:
-    """Lengths of arms along directions of this information, ``[direction]``."""
+    """Lengths of steps along directions with this information, ``[direction]``."""
     rise = min(max(ABOVE_JUMPS * jump, RISE * loss), loss)
     return np.clip(np.sqrt(rise / np.maximum(information, 1e-12)), SHORTEST, LONGEST)

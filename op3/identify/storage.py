@@ -1,4 +1,4 @@
-"""Where a study is kept: a journal file, a database, or memory."""
+"""Storage of a study: a journal file, a database, or memory."""
 
 import fcntl
 import os
@@ -16,14 +16,14 @@ JOURNAL_SUFFIXES = (".journal", ".log")
 
 
 def open_storage(storage: str | os.PathLike[str] | None) -> BaseStorage:
-    """Open the storage of a study, ready for several workers at once.
+    """Open the storage of a study for several concurrent workers.
 
     Args:
-        storage: a path ending in `.journal` or `.log` (a file that all workers see), a database URL such
-            as `sqlite:///study.db` or `mysql://...`, or None for memory only.
+        storage: a path ending in `.journal` or `.log` (a file shared by all workers), a database URL such as
+            `sqlite:///study.db` or `mysql://...`, or None for memory only.
 
     Raises:
-        StudyError: if it is neither, or cannot be opened or written.
+        StudyError: if it is none of these, or cannot be opened or written.
     """
     if storage is None:
         return InMemoryStorage()
@@ -32,7 +32,7 @@ def open_storage(storage: str | os.PathLike[str] | None) -> BaseStorage:
         return _open_database(name)
     if not name.endswith(JOURNAL_SUFFIXES):
         raise StudyError(
-            f"The storage {name!r} is neither a journal nor a database: write a path ending in "
+            f"The storage {name!r} is neither a journal nor a database: use a path ending in "
             f"{' or '.join(JOURNAL_SUFFIXES)}, or a URL such as sqlite:///study.db."
         )
     path = Path(name).absolute()
@@ -48,17 +48,16 @@ def open_storage(storage: str | os.PathLike[str] | None) -> BaseStorage:
     except OSError as error:
         raise StudyError(
             f"The storage {path} cannot be written ({error.strerror or error}): "
-            "choose a folder you may write to, by storage=<path>.journal."
+            "choose a writable folder with storage=<path>.journal."
         ) from error
     except (ValueError, KeyError) as error:
         raise StudyError(
-            f"The storage {path} is not an Optuna journal ({error}): move it away or name another."
+            f"The storage {path} is not an Optuna journal ({error}): move the file away or name another one."
         ) from error
 
 
 class _FileLock(BaseJournalFileLock):
-    """A lock that the kernel releases when its holder dies; Optuna's own locks are files that outlive a killed
-    process."""
+    """A lock that the kernel releases when its holder dies; Optuna's lock files remain after a kill."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -76,19 +75,19 @@ class _FileLock(BaseJournalFileLock):
 
 
 def _open_database(url: str) -> BaseStorage:
-    # Any driver may raise its own class of error here, so the net is wide; the cause is kept.
+    # Every database driver has other error classes, so all exceptions are caught; the cause is kept.
     try:
         return optuna.storages.get_storage(url)
     except Exception as error:
         reason = str(error).strip().splitlines()[0]
         problem = f"The storage {url!r} cannot be opened ({reason})"
-        raise StudyError(f"{masked(problem)}: check the URL, its driver and the folder's rights.") from error
+        raise StudyError(f"{masked(problem)}: check the URL, its driver and the folder's permissions.") from error
 
 
 def _cut_torn_record(path: Path) -> None:
-    """Remove an unfinished last line, as a full disk or a power cut leaves it: the next record would be lost with it.
+    """Remove an unfinished last line, left by a full disk or a power cut, because it would corrupt the next record.
 
-    A file that does not begin like a journal is not changed.
+    A file that does not begin like a journal is unchanged.
     """
     with open(path, "a+b") as file:
         file.seek(0)

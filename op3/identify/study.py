@@ -1,9 +1,8 @@
-"""The study engine: ask a population, evaluate it, store it, until the study has its trials.
+"""The study engine: request, evaluate and store populations until the study has its trials.
 
-A trial is written to the storage once, when it is finished. Nothing unfinished is ever stored, so a killed process
-leaves nothing to repair: whichever process continues requests its population again. The sampler works on a copy of the
-study in memory, which also avoids one storage access per parameter. The storage is at any moment a valid Optuna study
-for `optuna.visualization` and other tools.
+Only finished trials are stored, so a killed process leaves nothing to repair: the process that continues requests the
+population again. The sampler works on a copy of the study in memory, which also avoids one storage access per
+parameter. The storage is always a valid Optuna study for `optuna.visualization` and other tools.
 
 Independent of Hydra; `op3.identify.sweeper` connects the two.
 """
@@ -41,7 +40,7 @@ FUTILE_POPULATIONS = 3
 FINISHED = (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
 
 LINE_SECONDS = 15.0
-"""Least time between two lines of progress where standard error is not a terminal [s]."""
+"""Minimum time between two progress lines if standard error is not a terminal [s]."""
 
 _OPTIMIZER_STATE = re.compile(r"(sepcma|cmawm|cma):optimizer")
 _SCRATCH = re.compile(r"tpe:relative_params")
@@ -52,9 +51,9 @@ class TrialOutcome:
     """Result of the evaluation of one trial.
 
     Attributes:
-        values: the objectives, one per direction; None or a number that is not finite means that it failed.
-        attributes: anything else worth keeping with the trial, as JSON data.
-        error: message, if the evaluation raised.
+        values: the objectives, one per direction; None or a non-finite number means that the trial failed.
+        attributes: further JSON data stored with the trial.
+        error: message of an exception in the evaluation.
     """
 
     values: tuple[float, ...] | None
@@ -78,13 +77,13 @@ class StudySettings:
         search_space: the parameters and their ranges, see `op3.identify.search_space`.
         sampler: name of the sampler, see `op3.identify.samplers`.
         storage: see `op3.identify.storage`; None keeps the study in memory.
-        n_trials: finished trials, complete or failed, of the whole study; each further worker may add two populations.
-        population: trials that are evaluated together, by one job.
-        parallel_populations: jobs side by side; as many populations are asked at once.
-        nominal: parameters of the first trial, the baseline; None starts without one.
-        starts: trials after the baseline that the experiment itself proposes.
-        seed: of the study; None keeps the stored seed, or draws one for a new study.
-        worker: number of this process among those that share the study. Worker 0 evaluates baseline and starts.
+        n_trials: number of finished trials in the study, complete or failed; each other worker may add two populations.
+        population: number of trials that one job evaluates together.
+        parallel_populations: number of parallel jobs and of populations requested at once.
+        nominal: parameters of the first trial, the baseline; None: no baseline.
+        starts: number of trials after the baseline that the experiment proposes.
+        seed: seed of the study; None keeps the stored seed, or draws one for a new study.
+        worker: number of this process among those that share the study; worker 0 evaluates baseline and starts.
     """
 
     search_space: SearchSpace
@@ -106,7 +105,7 @@ class StudySettings:
         return self.population * self.parallel_populations
 
     def split(self, population: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-        """Cut requested trials into the populations of single jobs."""
+        """Divide requested trials into the populations of single jobs."""
         return [population[i : i + self.population] for i in range(0, len(population), self.population)]
 
     def samplers(self) -> SamplerFactory:
@@ -124,24 +123,24 @@ def run_study(
     *,
     progress: bool = True,
 ) -> optuna.Study:
-    """Run a study, or continue a stored one, until it has its finished trials.
+    """Run a study, or continue a stored one, until it has the requested number of finished trials.
 
-    The same seed gives the same trials on the same machine, also if the study is interrupted and resumed in between.
-    Several processes may run the same call on the same storage at once, each as another worker: they share the trials.
-    A trial whose evaluation raises or is not finite is stored as failed, with its parameters, and the study continues.
+    The same seed gives the same trials on the same machine, even if the study is interrupted and resumed. Several
+    processes may make the same call on the same storage, each with another worker number, to share the trials. A trial
+    whose evaluation raises an exception or is not finite is stored as failed, and the study continues.
 
     Args:
         evaluate: evaluates a population; if it raises, the population is halved until the failing trial is isolated.
-        starts: parameters of the trials after the baseline, before the sampler proposes any; a resumed study needs the
-            same.
-        identity: everything else that the values depend on, such as logs and model, each as a text or a digest;
-            a stored study with another identity is refused. None checks nothing.
+        starts: parameters of the trials between the baseline and the sampler's first proposal; a resumed study needs
+            the same.
+        identity: everything else that the values depend on, such as logs and model, as text or digest; a stored study
+            with another identity raises an error. None disables the check.
         progress: show trials, best value, rate and time left.
 
     Raises:
         StudyError: if sampler, storage or settings cannot be used or contradict the stored study, if results do not
             match the population, if another process evaluates the same points, or if no trial completes and
-            `FUTILE_POPULATIONS` in a row raise.
+            `FUTILE_POPULATIONS` in a row raise exceptions.
     """
     given = [] if how.nominal is None else [({"nominal": True}, check_nominal(how.search_space, how.nominal))]
     given += [({"start": number}, check_nominal(how.search_space, values)) for number, values in enumerate(starts)]
@@ -163,18 +162,18 @@ def run_study(
             futile = futile + 1 if raised and not session.complete() else 0
             if futile >= FUTILE_POPULATIONS:
                 raise StudyError(
-                    f"No trial has completed and the last {futile} populations all raised; the last error "
-                    f"is: {outcomes[-1].error} Fix it and start a new study (another study_name or storage)."
+                    f"No trial has completed and the last {futile} populations raised errors; the last error "
+                    f"is: {outcomes[-1].error} Fix the cause and start a new study (another study_name or storage)."
                 )
     return session.study
 
 
 def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) -> list[TrialOutcome]:
-    """Evaluate a population such that a trial that raises fails alone, at about 2 log2(size) further evaluations."""
+    """Evaluate a population so that only the trial that raises fails, with about 2 log2(size) further evaluations."""
     try:
         results = evaluate([dict(parameters) for parameters in population])
     except (StudyError, ChildProcessError):
-        raise  # of no trial's making
+        raise  # not caused by a trial
     except Exception as error:
         if len(population) > 1:
             middle = len(population) // 2
@@ -188,10 +187,10 @@ def evaluate_population(evaluate: Evaluate, population: list[dict[str, Any]]) ->
 
 
 def checked_outcomes(results: Any, count: int) -> list[TrialOutcome]:
-    """The outcomes of `count` trials: of each a number, several numbers, None where it failed, or a `TrialOutcome`.
+    """The outcomes of `count` trials; a result is one number or several, None after a failure, or a `TrialOutcome`.
 
     Raises:
-        StudyError: if there are more or fewer results than trials, or if one is anything else.
+        StudyError: if there are more or fewer results than trials, or if a result has another type.
     """
     if not isinstance(results, Sequence | np.ndarray) or len(results) != count:
         given = (
@@ -199,7 +198,7 @@ def checked_outcomes(results: Any, count: int) -> list[TrialOutcome]:
         )
         raise StudyError(
             f"The evaluation returned {given} for a population of {count}: return a list with one result per trial,"
-            " in order, None where it failed."
+            " in order, or None for a failed trial."
         )
     return [_as_outcome(result) for result in results]
 
@@ -217,7 +216,7 @@ def _as_outcome(result: Any) -> TrialOutcome:
 
 
 class _Session:
-    """One process's view of a study: the stored one, and the copy in memory that the sampler sees."""
+    """A process's view of a study: the stored study, and the copy in memory for the sampler."""
 
     def __init__(self, how: StudySettings, study: optuna.Study) -> None:
         self.study = study
@@ -231,20 +230,20 @@ class _Session:
 
     @property
     def finished(self) -> int:
-        """Finished trials in the study, as far as this process knows."""
+        """Number of finished trials in the study that this process knows."""
         return len(self._mirror.get_trials(deepcopy=False, states=FINISHED))
 
     def complete(self) -> list[FrozenTrial]:
-        """Trials that have a value."""
+        """Number of trials that have a value."""
         return self._mirror.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
     def best(self) -> dict[str, str]:
-        """Best value so far; nothing without one, or with several objectives."""
+        """Best value so far; empty without a value or with several objectives."""
         single = len(self.study.directions) == 1 and self.complete()
         return {"best": f"{self._mirror.best_value:.6g}"} if single else {}
 
     def enqueue(self, given: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> None:
-        """Request these trials first, each with a mark and parameters, except those already in the study."""
+        """Request these trials first, given as mark and parameters, except those already in the study."""
         known = [trial.user_attrs for trial in self._mirror.get_trials(deepcopy=False, states=FINISHED)]
         for mark, values in given:
             if not any(attributes.get(key) == number for attributes in known for key, number in mark.items()):
@@ -252,7 +251,7 @@ class _Session:
 
     def ask(self, size: int) -> list[Trial]:
         """Request a population."""
-        # workers that have seen the same trials must not propose the same points
+        # workers that know the same trials must not propose the same points
         entropy = [self.study.user_attrs["seed"], self.finished, *([self._worker] if self._worker else ())]
         self._mirror.sampler = self._factory(int(np.random.SeedSequence(entropy).generate_state(1)[0] >> 1))
         trials = [self._mirror.ask(self._search_space) for _ in range(size)]
@@ -261,13 +260,12 @@ class _Session:
             trial.set_user_attr("worker", self._name)
             sampler = self._mirror.sampler
             if isinstance(sampler, BaseGASampler) and not {"nominal", "start"}.isdisjoint(trial.user_attrs):
-                # Optuna leaves given trials out of every generation, so that they would have no children
+                # Optuna excludes enqueued trials from generations, so they would have no children
                 sampler.get_trial_generation(self._mirror, frozen[trial.number])
         return trials
 
     def tell(self, trials: Sequence[Trial], outcomes: Sequence[TrialOutcome]) -> None:
-        """Finish a population, in memory and in the storage, and read the trials that others have finished
-        meanwhile."""
+        """Finish a population in memory and in the storage, and read trials that other workers finished meanwhile."""
         for trial, outcome in zip(trials, outcomes, strict=True):
             values = self._judge(trial, outcome)
             self._mirror.tell(trial, values, TrialState.FAIL if values is None else TrialState.COMPLETE)
@@ -276,14 +274,14 @@ class _Session:
         if any(other.params == one.params for other in self._pull() for one in told):
             raise StudyError(
                 f"Another process requests the same points as worker {self._worker}: give each process that shares the"
-                " study a number of its own, hydra.sweeper.worker=1 and so on."
+                " study a different number, hydra.sweeper.worker=1 and so on."
             )
         state_holder = next((t for t in reversed(told) if t.state == TrialState.COMPLETE), None)
         for trial in told:
             self.study.add_trial(_to_store(trial, keep_state=trial is state_holder))
 
     def _pull(self) -> list[FrozenTrial]:
-        """Read the trials that others, or earlier runs, have finished; return them."""
+        """Read and return the trials that other workers or earlier runs have finished."""
         stored = self.study.get_trials(deepcopy=False, states=FINISHED)
         new = [t for t in stored if t.number not in self._pulled and t.user_attrs.get("worker") != self._name]
         self._pulled.update(trial.number for trial in stored)
@@ -299,7 +297,7 @@ class _Session:
             trial.set_user_attr("error", outcome.error)
         if outcome.values is not None and len(outcome.values) != len(self.study.directions):
             raise StudyError(
-                f"The evaluation returned {len(outcome.values)} values for a trial, and the study has "
+                f"The evaluation returned {len(outcome.values)} values for a trial, but the study has "
                 f"{len(self.study.directions)} directions: return one value per direction of hydra.sweeper.direction."
             )
         if outcome.values is None or all(math.isfinite(value) for value in outcome.values):
@@ -317,14 +315,14 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
     if study.directions != directions or attributes.get("search_space", space) != space:
         raise StudyError(
             f"The stored study {name!r} has other objectives, parameters or ranges than this run: choose another folder"
-            " (hydra.run.dir), storage or study_name, or repeat the command that began it."
+            " (hydra.run.dir), storage or study_name, or repeat the original command."
         )
     known = attributes.get("identity", {})
     if identity is not None and known != identity and study.get_trials(deepcopy=False):
         differs = [part for part in {**identity, **known} if known.get(part) != identity.get(part)]
         raise StudyError(
             f"The stored study {name!r} has other {', '.join(differs)} than this run: choose another folder"
-            " (hydra.run.dir), storage or study_name, or repeat the command that began it."
+            " (hydra.run.dir), storage or study_name, or repeat the original command."
         )
     if identity is not None:
         study.set_user_attr("identity", dict(identity))
@@ -339,8 +337,7 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
 def _to_store(trial: FrozenTrial, keep_state: bool) -> FrozenTrial:
     """Delete attributes that samplers only need while a trial runs.
 
-    CMA-ES writes its whole state to every trial of a population, 10 kB each, and reads it back from
-    the last complete one alone.
+    CMA-ES writes its whole state, 10 kB, to every trial of a population, but only reads the last complete one.
     """
     stored = copy.copy(trial)
     stored.system_attrs = {
@@ -357,7 +354,7 @@ def _plain(key: str, value: Any) -> Any:
     def unpack(what: Any) -> Any:
         if not hasattr(what, "tolist"):
             raise StudyError(
-                f"The attribute {key!r} of a TrialOutcome holds a {type(what).__name__}: give numbers, texts, lists or"
+                f"The attribute {key!r} of a TrialOutcome has type {type(what).__name__}: use numbers, texts, lists or"
                 " dicts."
             )
         return what.tolist()

@@ -1,4 +1,4 @@
-"""The settings of a study as Hydra's config has them under `hydra.sweeper`."""
+"""Reads the settings of a study from `hydra.sweeper` in Hydra's config."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +23,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
         config: the composed config, whose values are the nominal parameters.
         sweeper: its node `hydra.sweeper`.
         folder: folder of the run or cell, for the default storage.
-        cell: overrides of the cell in an outer grid, which distinguish its study from others.
+        cell: overrides of the grid cell, which distinguish its study from others.
     """
     if OmegaConf.select(sweeper, "_target_") != PopulationSweeperConf._target_:
         raise StudyError(
@@ -47,7 +47,7 @@ def read_settings(config: DictConfig, sweeper: DictConfig, folder: Path, cell: s
 
 
 def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
-    """Searched ranges by config key: those of `params`, and those of `each` once for every label.
+    """Searched ranges by config key: the ranges in `params`, and the ranges in `each` for every label.
 
     Args:
         sweeper: the resolved node `hydra.sweeper`.
@@ -55,7 +55,7 @@ def search_space_of(sweeper: Mapping[Any, Any]) -> SearchSpace:
     space, each = parse_search_space(sweeper["params"]), sweeper.get("each") or {}
     for key in each:
         if key not in space:
-            raise StudyError(f"{key} is listed in per_joint, but is not searched: add its group, or leave it out.")
+            raise StudyError(f"{key} is listed in per_joint but not searched: add its group, or omit it there.")
     labels = {key: [f"{key}@{JOINT}={label}" for label in each[key]] if key in each else [key] for key in space}
     return {name: distribution for key, distribution in space.items() for name in labels[key]}
 
@@ -65,7 +65,7 @@ def _config_value(config: DictConfig, key: str) -> Any:
     try:
         value = OmegaConf.select(config, key, default=missing, throw_on_missing=False)
     except OmegaConfBaseException as error:
-        raise StudyError(f"{key}: cannot be read from the config ({error}).") from error
+        raise StudyError(f"{key}: its value in the config is invalid ({error}).") from error
     if value is missing:
         raise StudyError(
             f"{key}: hydra.sweeper.params names a key that the config does not have: "

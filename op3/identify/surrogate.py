@@ -1,8 +1,8 @@
-"""A smooth surrogate of the residuals, which finds the region of the minimum with few simulations.
+"""A smooth surrogate of the residuals that locates the region of the minimum with few simulations.
 
-Friction gives the loss many local minima, at the first of which a gradient search stops. Residuals are smoother than
-their squares: over much of the ranges they change almost linearly. A Gaussian process (kriging) is therefore fitted to
-all simulated residual vectors, and its prediction is squared. One kernel serves all residuals: a linear part, as in
+Friction gives the loss many local minima, and a gradient search stops at the first of them. Residuals are smoother than
+the loss: over much of the ranges they change almost linearly. A Gaussian process (kriging) is therefore fitted to all
+simulated residual vectors, and its prediction is squared. One kernel serves all residuals: a linear part, as in
 Gauss-Newton, and a Matern part for the nonlinear rest. A prediction is then a weighted sum of simulated residuals, and
 its expected square needs only their scalar products, however long the logs are (composite Bayesian optimisation;
 Astudillo & Frazier, Bayesian Optimization of Composite Functions, ICML 2019).
@@ -19,7 +19,7 @@ from torch import Tensor
 from op3.identify.sensitivity import Array, Residuals, simulate
 
 CAUTION = (1.0, 0.2, 0.02)
-"""Weight of the variance relative to the squared mean: 1 gives the expected loss, less gives bolder steps."""
+"""Weight of the variance relative to the squared mean: 1 gives the expected loss, smaller values give bolder steps."""
 
 APART = 0.1
 """Proposals closer than this, in length scales, count as duplicates."""
@@ -28,24 +28,24 @@ UNTOLD = 0.3
 """Standard deviation of proposals along directions that the surrogate does not determine, as a share of a range."""
 
 MOST_POINTS = 110
-"""Points that a surrogate learns from, the best ones."""
+"""Number of best points that a surrogate learns from."""
 
 PATIENCE = 3
-"""Rounds without progress after which the search is over."""
+"""Number of rounds without progress after which the search ends."""
 
 PROGRESS = 0.02
-"""Share by which the best loss has to fall to count as progress."""
+"""Relative decrease of the best loss that counts as progress."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exploration:
-    """All points that were simulated.
+    """All simulated points.
 
     Attributes:
-        points: in the unit box, best first, ``[point, parameter]``.
+        points: points in the unit box, best first, ``[point, parameter]``.
         losses: squared lengths of the residuals, ``[point]``.
-        residual: at the best point.
-        history: best loss before the first round and after every one.
+        residual: residual at the best point.
+        history: best loss before the first round and after each round.
         curvature: product of the smoothed residual's Jacobian with itself at the best point,
             ``[parameter, parameter]``.
     """
@@ -67,16 +67,17 @@ def explore(
     seed: int = 0,
     failed_loss: float = np.inf,
 ) -> Exploration:
-    """Search with a surrogate of the residuals: each round simulates a batch of points that it proposes.
+    """Search with a surrogate of the residuals, which proposes a batch of points in each round.
 
-    A third of a batch minimises the expected loss, a third each takes more risk. If proposals coincide, the rest is
-    drawn from the surrogate's level set at twice the best loss, mostly along the least known directions.
+    A third of a batch minimises the expected loss, and the other two thirds take increasing risk. If proposals
+    coincide, the rest is drawn from the surrogate's level set at twice the best loss, mostly along uncertain
+    directions.
 
     Args:
-        points: to begin with, spread over the box, ``[point, parameter]``.
-        residual: of these, ``[point, residual]``.
+        points: initial points, spread over the box, ``[point, parameter]``.
+        residual: residuals at these points, ``[point, residual]``.
         rounds: largest number of rounds.
-        failed_loss: a loss that only a diverged simulation has.
+        failed_loss: a loss that only a diverged simulation reaches.
 
     Raises:
         ValueError: if all simulations diverged.
@@ -104,7 +105,7 @@ def explore(
 
 
 def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -> NDArray[np.intp]:
-    """Points that a surrogate learns from, best first: far from the data the behaviour is different (falls, stops)."""
+    """Points that a surrogate learns from, best first; poor points behave differently (falls, stops)."""
     order = np.argsort(losses, kind="stable")
     order = order[: min(MOST_POINTS, max(2 * count + 4, len(losses) - 2 * first // 5))]
     limit = max(30 * losses[order[0]], losses[order[min(2 * count, len(order) - 1)]])
@@ -112,15 +113,15 @@ def _worth_learning(losses: Array, count: int, first: int, failed_loss: float) -
 
 
 class Surrogate:
-    """Gaussian process of residual vectors, centred on the best of them.
+    """Gaussian process of residual vectors, centred on the best vector.
 
     Args:
-        points: in the unit box, best first, ``[point, parameter]``.
+        points: points in the unit box, best first, ``[point, parameter]``.
         residual: ``[point, residual]``.
-        scales: logarithms of the kernel's numbers to start from: inverse lengths, share of the Matern part, noise.
+        scales: initial logarithms of the kernel's inverse lengths, share of the Matern part, and noise.
 
     Attributes:
-        scales: as fitted, by marginal likelihood, ``[parameter + 2]``.
+        scales: values fitted by marginal likelihood, ``[parameter + 2]``.
     """
 
     def __init__(self, points: Array, residual: Array, scales: Tensor | None = None):
@@ -133,7 +134,7 @@ class Surrogate:
         try:
             self.scales = self._fit(scales)
             self._factor = self._cholesky(self.scales)
-        except RuntimeError:  # also that of a matrix without a Cholesky factor
+        except RuntimeError:  # includes a matrix without a Cholesky factor
             self.scales = scales
             self._factor = self._cholesky(scales)
         spread = torch.cholesky_solve(self._centred, self._factor).diagonal().sum()
@@ -141,12 +142,12 @@ class Surrogate:
 
     @property
     def inverse_lengths(self) -> Tensor:
-        """Inverse lengths of the kernel, by parameter, per range."""
+        """Inverse length scales of the kernel by parameter, in units of 1 / range."""
         return self.scales[:-2].clamp(-4, 4).exp()
 
     @property
     def best_loss(self) -> float:
-        """The lowest loss that was simulated."""
+        """The lowest simulated loss."""
         return float(self._products[0, 0])
 
     def _kernel(self, a: Tensor, b: Tensor, scales: Tensor) -> Tensor:
@@ -160,7 +161,7 @@ class Surrogate:
         return torch.linalg.cholesky(self._kernel(self.points, self.points, scales) + noise)
 
     def _fit(self, start: Tensor) -> Tensor:
-        """Scales of the largest marginal likelihood under weak priors; the residuals' own scale is eliminated."""
+        """Scales that maximise the marginal likelihood under weak priors; the scale of the residuals is eliminated."""
         scales = start.clone().requires_grad_()
         optimiser = torch.optim.LBFGS([scales], max_iter=80, line_search_fn="strong_wolfe")
 
@@ -178,13 +179,13 @@ class Surrogate:
         return found if bool(found.isfinite().all()) else start
 
     def weights(self, unit: Tensor) -> Tensor:
-        """Weights of the simulated residuals in the predicted ones, ``[candidate, point]``; they add up to one."""
+        """Weights of the simulated residuals in the predictions, ``[candidate, point]``; they add up to one."""
         weights = torch.cholesky_solve(self._kernel(self.points, unit, self.scales), self._factor).T
         rest = 1 - weights.sum(-1, keepdim=True)
         return torch.cat([weights[:, :1] + rest, weights[:, 1:]], 1)
 
     def predict(self, unit: Tensor) -> tuple[Tensor, Tensor]:
-        """Square of the mean residual, and the residual's variance, both added up, ``[candidate]``.
+        """Squared mean residual, and variance of the residual, each summed over the vector, ``[candidate]``.
 
         The expected loss is their sum.
         """
@@ -195,11 +196,11 @@ class Surrogate:
         return ((weights @ self._products) * weights).sum(-1), variance.clamp_min(0.0) * self._variance
 
     def minimise(self, starts: Tensor, caution: Tensor, steps: int = 200) -> tuple[Tensor, Tensor]:
-        """Points within the box where squared mean plus `caution` times variance is lowest, and the values there.
+        """Points within the box that minimise the squared mean plus `caution` times the variance, and the minima.
 
         Args:
-            starts: ``[candidate, parameter]``.
-            caution: ``[candidate]``.
+            starts: initial points, ``[candidate, parameter]``.
+            caution: weight of the variance, ``[candidate]``.
         """
         unit = starts.clone().requires_grad_()
         optimiser = torch.optim.Adam([unit])
@@ -216,9 +217,9 @@ class Surrogate:
         return unit.detach(), mean + caution * variance
 
     def slope(self, unit: Tensor) -> tuple[Array, Array]:
-        """The mean residual's Jacobian at a point, times the residual ``[parameter]`` and times itself.
+        """Products of the mean residual's Jacobian at a point with the residual, ``[parameter]``, and with itself.
 
-        These are the gradient and the Gauss-Newton hessian of half its square.
+        These are the gradient and the Gauss-Newton Hessian of half the squared residual.
         """
         step = 1e-3 * torch.eye(len(unit), dtype=torch.float64)
         change = (self.weights(unit + step) - self.weights(unit - step)) / 2e-3
@@ -231,7 +232,7 @@ def _stuck(history: Sequence[float]) -> bool:
 
 
 def _propose(surrogate: Surrogate, batch: int, rng: np.random.Generator) -> Array:
-    """Minima of the surrogate from many starting points, at each level of caution; then draws from its level set."""
+    """Minima of the surrogate from many starting points at each level of caution, then draws from its level set."""
     known = surrogate.points.numpy()
     size = known.shape[1]
     near = known[rng.integers(0, min(10, len(known)), 40)] + 0.15 * rng.standard_normal((40, size))

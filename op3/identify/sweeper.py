@@ -1,18 +1,16 @@
 """The Hydra sweeper `hydra/sweeper: population`: a study evaluated in populations, one Hydra job each.
 
-A command hands its work to `sweep_or_report`. Run without `-m`, the
-study runs in this process, in Hydra's run folder. With `-m`, the sweeper requests a population, writes it to a file,
-and launches one job through the configured launcher with `population=<file>`; in that job `sweep_or_report` evaluates
-the file and returns the results. Both ways request the same trials.
+A command passes its work to `sweep_or_report`. Without `-m`, the study runs in this process, in Hydra's run folder.
+With `-m`, the sweeper writes each population to a file and launches one job with `population=<file>`, in which
+`sweep_or_report` evaluates the file and returns the results. Both ways request the same trials.
 
-Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid: one study, and one folder, for each
-cell. The search space comes from `hydra.sweeper.params` alone, read again in every cell, so a config group may bring
-its own parameters.
+Comma sweeps on the command line (`seed=0,1,2 groups=motor,gear`) are an outer grid with one study and one folder per
+cell. The search space comes only from `hydra.sweeper.params`, read in every cell, so a config group may add parameters.
 
 Folders:
 
     <sweep folder>/optimization_results.yaml   best of every cell
-    <sweep folder>/0/                          first cell, the same as a run folder without -m:
+    <sweep folder>/0/                          first cell, as a run folder without -m:
         study.journal, optimization_results.yaml, and what the report writes
         populations/0/, 1/, ...                one folder per population job, with its population.json
 """
@@ -51,7 +49,7 @@ POPULATION_FILE = "population.json"
 STARTS_FILE = "starts.json"
 
 Propose = Callable[[int], Sequence[Mapping[str, Any]]]
-"""Proposes a number of parameter sets, by config key."""
+"""Proposes a given number of parameter sets by config key."""
 
 
 def sweep_or_report(
@@ -61,24 +59,24 @@ def sweep_or_report(
     propose: Propose | None = None,
     identity: Mapping[str, str] | None = None,
 ) -> Any:
-    """Do an experiment's part of a study: evaluate a population, or run the study and report it.
+    """Run an experiment's part of a study: evaluate a population, or run the study and report it.
 
     Args:
         cfg: the config that `@hydra.main` passes.
         evaluate: evaluates a population, see `op3.identify.study.Evaluate`.
-        propose: proposes the `hydra.sweeper.starts` trials that come first; they are kept in `starts.json`, so that a
-            study that goes on begins with the same.
-        identity: what the objectives depend on beside the parameters, see `op3.identify.study.run_study`.
+        propose: proposes the first `hydra.sweeper.starts` trials, which are kept in `starts.json` so that a resumed
+            study begins with the same trials.
+        identity: everything else that the objectives depend on, see `op3.identify.study.run_study`.
 
     Returns:
-        In a population job, the list of its results, or the starts and the identity that it asks for; else what
+        In a population job, the list of results, or the requested starts and identity; otherwise the value that
         `report` returns, or the study's summary.
     """
     path = OmegaConf.select(cfg, "population")
     if path is not None:
         if not Path(str(path)).is_file():
             with _one_sentence():
-                raise StudyError(f"population={path}: the sweeper writes that file itself; leave it out.")
+                raise StudyError(f"population={path}: only the sweeper sets this; omit population.")
         asked = json.loads(Path(path).read_text())
         if isinstance(asked, dict):
             return {"starts": _propose(propose, asked["starts"]), "identity": identity}
@@ -101,14 +99,14 @@ def sweep_or_report(
 
 def _propose(propose: Propose | None, count: int) -> list[dict[str, Any]]:
     if count and propose is None:
-        raise StudyError("hydra.sweeper.starts: this experiment proposes no starts: set it to 0.")
+        raise StudyError("hydra.sweeper.starts: this experiment proposes no starts; set it to 0.")
     return [dict(values) for values in propose(count)] if propose and count else []
 
 
 def _kept_starts(
     folder: Path, settings: StudySettings, make: Callable[[], Sequence[Mapping[str, Any]]]
 ) -> Sequence[Mapping[str, Any]]:
-    """The starts in a study's folder, created if there are none."""
+    """The starts in a study's folder, created if they do not exist."""
     if settings.starts == 0:
         return ()
     path = folder / STARTS_FILE
@@ -119,7 +117,7 @@ def _kept_starts(
 
 
 class PopulationSweep:
-    """Runs one study for each cell of the command line's grid; settings are read from every cell's own config."""
+    """Runs one study for each cell of the command line's grid, with settings from the cell's config."""
 
     def __init__(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig):
         self._config: DictConfig = config
@@ -129,13 +127,13 @@ class PopulationSweep:
         )
 
     def run(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
-        """Run all cells; return the job that reported each."""
+        """Run all cells; return the job that reported each cell."""
         sweep_dir = Path(str(self._config.hydra.sweep.dir)).absolute()
         sweep_dir.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(self._config, sweep_dir / "multirun.yaml")
         parser = OverridesParser.create(config_loader=self._loader)
         grid = expand_grid(parser.parse_overrides(arguments))
-        # All cells are read before the first one runs: an error shows at once, not after hours.
+        # All cells are read before the first one runs, so that errors appear at once.
         cells = [self._cell(sweep_dir / str(i), overrides, grid) for i, overrides in enumerate(grid)]
         summaries: list[dict[str, Any]] = []
         returns: list[Sequence[JobReturn]] = []
@@ -150,7 +148,7 @@ class PopulationSweep:
             returns.append(self._report(overrides, folder, settings, number))
         for jobs in returns:
             for job in jobs:
-                _ = job.return_value  # raises what the report has raised
+                _ = job.return_value  # raises the exception of the report
         return returns
 
     def _cell(self, folder: Path, overrides: list[str], grid: list[list[str]]) -> tuple[Path, StudySettings]:
@@ -175,20 +173,20 @@ class PopulationSweep:
         try:
             returns = self._launcher.launch(jobs, initial_job_idx=first)
         except Exception as error:
-            # A job may die with its machine; its trials fail, the study goes on.
+            # A job may die with its machine; then its trials fail and the study continues.
             log.exception("The launcher failed.")
             return [TrialOutcome(None, error=f"launcher: {type(error).__name__}: {error}") for _ in population]
         return [o for chunk, job in zip(chunks, returns, strict=True) for o in _job_outcomes(chunk, job)]
 
     def _begin(self, overrides: list[str], folder: Path, settings: StudySettings) -> dict[str, Any]:
-        """Request the study's identity, and starts if there are none, from the experiment in a separate job."""
+        """Request the study's identity, and missing starts, from the experiment in a separate job."""
         wanted = 0 if (folder / STARTS_FILE).exists() else settings.starts
         first, jobs = _write_jobs([{"starts": wanted}], overrides, folder)
         job = self._launcher.launch(jobs, initial_job_idx=first)[0]
         if job.status != JobStatus.COMPLETED:
             if isinstance(error := job._return_value, StudyError):
                 raise error
-            raise StudyError(f"The study cannot begin, its first job raised {type(error).__name__}: {error}")
+            raise StudyError(f"The study cannot begin because its first job raised {type(error).__name__}: {error}")
         return job.return_value
 
     def _report(self, overrides: list[str], folder: Path, settings: StudySettings, number: int) -> Sequence[JobReturn]:
@@ -213,14 +211,14 @@ def expand_grid(overrides: Sequence[Override]) -> list[list[str]]:
             axes[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
         else:
             raise StudyError(
-                f"{override.input_line}: the search space comes from the config alone: "
+                f"{override.input_line}: the search space comes only from the config: "
                 f'write `{key}: "{(override.input_line or "").partition("=")[2]}"` in hydra.sweeper.params.'
             )
     return [list(cell) for cell in itertools.product(*axes.values())]
 
 
 def _reserve_folders(parent: Path, count: int) -> int:
-    """Make `count` new folders with consecutive numbers, also against other processes; return the first."""
+    """Create `count` new folders with consecutive numbers that no other process uses; return the first number."""
     parent.mkdir(parents=True, exist_ok=True)
     while True:
         taken = [int(entry.name) for entry in parent.iterdir() if entry.name.isdigit()]
@@ -237,7 +235,7 @@ def _reserve_folders(parent: Path, count: int) -> int:
 
 
 def _write_jobs(contents: Sequence[Any], overrides: list[str], folder: Path) -> tuple[int, list[list[str]]]:
-    """Write the populations of jobs; return the number of the first and the overrides of each."""
+    """Write the populations of jobs; return the number of the first job and the overrides of each job."""
     first = _reserve_folders(folder / "populations", len(contents))
     jobs = []
     for number, content in enumerate(contents, start=first):
@@ -274,7 +272,7 @@ def _sweep_summary(summaries: list[dict[str, Any]], cells: int) -> dict[str, Any
 
 @contextmanager
 def _one_sentence() -> Iterator[None]:
-    """Let Hydra print a wrong setting as its sentence, without a stack trace."""
+    """Let Hydra print a wrong setting as one sentence, without a stack trace."""
     try:
         yield
     except StudyError as error:

@@ -1,4 +1,4 @@
-"""Excitation motions for any robot; what is the OP3's by nature is in `op3_motions` and `op3_suites`."""
+"""Excitation motions for any robot; motions specific to the OP3 are in `op3_motions` and `op3_suites`."""
 
 from typing import TYPE_CHECKING
 

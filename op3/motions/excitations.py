@@ -1,13 +1,12 @@
-"""Excitations: motions of any robot that make the parameters of servos and body visible in a log.
+"""Excitations: motions of any robot that make parameters of servos and body identifiable from a log.
 
-Every one starts and ends at rest in the pose it goes around, keeps its own speed limit, and is sampled at the rate of
-the robot's PD loop. In addition to its own arguments it takes
+Every motion starts and ends at rest in its central pose, respects a speed limit, and is sampled at the rate of the
+robot's PD loop. All motions accept these arguments:
 
-- `joints`: how far each moves [rad], the sign is its direction; None: every controlled joint as far as limits, speeds
-  and clearances of the robot allow,
-- `duration`: length [s]; of a motion that does not stretch, reached by whole repeats,
-- `around` and `offset`: the pose in the middle, "home" or another, and what is added to it by joint [rad],
-- `robot` and `name`: a name in `assets/robots` or the path of its file, and what the motion is called.
+- `joints`: amplitude of each joint [rad], whose sign is the direction; None: every controlled joint as far as limits,
+speeds and clearances of the robot allow, - `duration`: length [s]; reached by whole repeats for motions of fixed
+length, - `around` and `offset`: the central pose, by default "home", and offsets from it by joint [rad], -
+`robot` and `name`: a name in `assets/robots` or the path of a robot file, and the name of the motion.
 
 `op3.motions.motion_checks` checks limits, speeds and collisions of the result.
 """
@@ -27,7 +26,7 @@ from op3.robot.kinematics import minimum_jerk
 from op3.robot.robot import Robot, load_robot
 
 RATE = 125.0
-"""Rows per second: the robot's PD loop."""
+"""Rows per second, the rate of the robot's PD loop."""
 
 FADE = 0.5
 """Duration of the fade-in and fade-out of oscillations [s]."""
@@ -37,7 +36,7 @@ Amplitudes = Mapping[str, float]
 """Amplitude of each joint that moves [rad]; the sign is its direction."""
 
 SHARES = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
-"""Default amplitudes, as shares of the way from home to the nearer limit; the first safe one is taken."""
+"""Default amplitudes, as shares of the distance from home to the nearer limit; the first safe one is used."""
 
 LARGEST = 0.5
 """Largest default amplitude [rad]."""
@@ -47,7 +46,7 @@ BRISK = 0.95
 
 
 def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..., Motion]:
-    """A motion of any robot from a function that gives times [time] and its joints' excursions [time, joint]."""
+    """A motion of any robot, from a function that returns times [time] and joint excursions [time, joint]."""
 
     stretches = "duration" in signature(excursions).parameters
 
@@ -71,7 +70,7 @@ def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..
 
         def motion(chosen: Amplitudes) -> Motion:
             if not chosen:
-                raise ValueError(f"motion {name!r} moves no joint: give joints with their amplitudes in rad")
+                raise ValueError(f"motion {name!r} moves no joint; give joints with amplitudes in rad")
             time, away = excursions(chosen, *args, **own)
             if duration is not None and not stretches:
                 passes = max(1, round(duration / time[-1]))
@@ -96,14 +95,14 @@ def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..
 def chirp(
     joints: Amplitudes, low: float = 0.3, high: float = 4.0, duration: float = 10.0, speed: float = 2.0
 ) -> tuple[Array, Array]:
-    """Sines whose frequency grows exponentially: inertia and damping over load.
+    """Sines with exponentially growing frequency, which identify inertia and damping relative to load.
 
     Args:
-        joints: amplitude of each joint [rad]; it shrinks with frequency where `speed` asks for it.
+        joints: amplitude of each joint [rad]; it decreases with frequency if `speed` requires it.
         low: first frequency [Hz].
         high: last frequency [Hz].
         duration: length [s].
-        speed: greatest joint speed of the sine [rad/s].
+        speed: largest joint speed [rad/s].
     """
     time = sample_times(duration, RATE)
     growth = np.log(high / low)
@@ -118,15 +117,15 @@ def chirp(
 def triangle(
     joints: Amplitudes, speed: float = 0.15, acceleration: float = 2.0, cycles: int = 2
 ) -> tuple[Array, Array]:
-    """To and fro at constant speed: friction against angle and load, in both directions.
+    """Back-and-forth motion at constant speed, which identifies friction over angle and load in both directions.
 
-    Fast ones, at up to what the battery allows, show the motor's resistance.
+    Fast strokes, up to the limit of the battery, identify the motor's resistance.
 
     Args:
         joints: amplitude of each joint [rad].
-        speed: of the joint with the largest amplitude [rad/s].
-        acceleration: at the turns, of the same joint [rad/s^2].
-        cycles: full ones, each from the pose to one side, to the other, and back.
+        speed: speed of the joint with the largest amplitude [rad/s].
+        acceleration: acceleration of the same joint at the reversals [rad/s^2].
+        cycles: number of full cycles, each from the pose to one side, to the other, and back.
     """
     largest = max(abs(amplitude) for amplitude in joints.values())
     corners = [0.0, *[1.0, -1.0] * cycles, 0.0]
@@ -138,17 +137,17 @@ def triangle(
 def multisine(
     joints: Amplitudes, low: float = 0.2, high: float = 3.0, lines: int = 6, duration: float = 10.0
 ) -> tuple[Array, Array]:
-    """All joints at once, each a sum of sines at its own frequencies, so that their effects can be distinguished.
+    """All joints at once, each with a sum of sines at separate frequencies, so that their effects can be distinguished.
 
-    Frequencies are whole multiples of 1 / duration, dealt out in turn from a logarithmic grid; phases are Schroeder's
-    (IEEE Transactions on Information Theory 16, 1970), which keep the peak low. Amplitudes fall with frequency, so
-    every line moves equally fast.
+    Frequencies are integer multiples of 1 / duration, assigned in turn from a logarithmic grid; phases are Schroeder's
+    (IEEE Transactions on Information Theory 16, 1970), which keep the peak low. Amplitudes decrease with frequency, so
+    that every sine has the same peak speed.
 
     Args:
         joints: largest excursion of each joint [rad].
         low: lowest frequency [Hz].
         high: highest frequency [Hz].
-        lines: sines per joint.
+        lines: number of sines per joint.
         duration: length [s].
     """
     time = sample_times(duration, RATE)
@@ -171,7 +170,7 @@ def staircase(
     ramp: float = 0.4,
     rest: float = 0.6,
 ) -> tuple[Array, Array]:
-    """Holds at several angles, each reached from both sides: what a joint rests at shows static friction and gear.
+    """Holds at several angles, each reached from both sides; the rest positions identify stiction and gear losses.
 
     Args:
         joints: amplitude of each joint [rad].
@@ -184,7 +183,7 @@ def staircase(
 
 
 def amplitudes(robot: Robot, share: float = SHARES[0]) -> dict[str, float]:
-    """Allowed excursion of each controlled joint around home [rad]: a share of the way to its nearer limit."""
+    """Allowed excursion of each controlled joint around home [rad]: a share of the distance to the nearer limit."""
     columns = robot.indices(robot.controlled)
     low, high = robot.limits[columns].T
     reach = share * np.minimum(robot.home[columns] - low, high - robot.home[columns])
@@ -192,7 +191,7 @@ def amplitudes(robot: Robot, share: float = SHARES[0]) -> dict[str, float]:
 
 
 def _alike(shape: Array, joints: Amplitudes) -> Array:
-    """All joints by one shape [time], each by its amplitude, [time, joint]."""
+    """One shape [time] scaled by the amplitude of each joint, [time, joint]."""
     return shape[:, None] * np.array(list(joints.values()))
 
 
@@ -226,7 +225,7 @@ def levels_over_time(levels: Sequence[float], ramp: float, rest: float) -> Array
 
 
 def _distinct(wanted: Array) -> NDArray[np.int64]:
-    """Whole numbers near the wanted ones, ascending, none twice."""
+    """Distinct ascending integers near the requested numbers."""
     chosen: list[int] = []
     for value in wanted:
         chosen.append(max(round(value), chosen[-1] + 1 if chosen else 1))

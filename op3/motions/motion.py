@@ -11,10 +11,10 @@ from op3.robot.robot import load_robot
 Array = NDArray[np.float64]
 
 P_GAIN = 6.0
-"""Gain of position of the paper's squat [A/rad]."""
+"""P gain of the paper's squat [A/rad]."""
 
 D_GAIN = 0.1
-"""Gain of velocity of the paper [A s/rad]."""
+"""D gain of the paper [A s/rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,14 +22,14 @@ class Motion:
     """Target joint angles over time.
 
     Attributes:
-        time: [time] in s, increasing.
-        position: [time, joint] in rad, in the order of `joints`.
-        joints: joint names of the robot; all of them where none are given.
-        name: what the motion is called in logs and figures.
-        mounts: where it may be played: "floor", "stand".
-        p_gain: gain of position it is played with [A/rad]: one number, or one per row [time].
-        d_gain: gain of velocity it is played with [A s/rad].
-        robot: that it is made for, a name in `assets/robots` or the path of its file.
+        time: increasing times [time] in s.
+        position: target angles [time, joint] in rad, in the order of `joints`.
+        joints: joint names of the robot; by default all.
+        name: name in logs and figures.
+        mounts: allowed mounts: "floor", "stand".
+        p_gain: P gain during playback [A/rad]: one number, or one per row [time].
+        d_gain: D gain during playback [A s/rad].
+        robot: robot of the motion, a name in `assets/robots` or the path of its file.
     """
 
     time: NDArray[np.float64]
@@ -42,7 +42,7 @@ class Motion:
     robot: str = field(kw_only=True)
 
     def __post_init__(self):
-        """Refuse arrays that do not fit together."""
+        """Raise an error for arrays that do not fit together."""
         robot = load_robot(self.robot)
         object.__setattr__(self, "joints", self.joints or robot.joints)
         robot.indices(self.joints)
@@ -52,7 +52,7 @@ class Motion:
                 f"({len(self.time)}, {len(self.joints)}), got {self.position.shape}"
             )
         if not (np.isfinite(self.time).all() and np.isfinite(self.position).all()):
-            raise ValueError(f"motion {self.name!r} holds numbers that are not finite")
+            raise ValueError(f"motion {self.name!r} contains non-finite numbers")
         if (np.diff(self.time) <= 0).any():
             row = int(np.argmax(np.diff(self.time) <= 0)) + 1
             raise ValueError(f"motion {self.name!r}: time does not increase at row {row}")
@@ -83,7 +83,7 @@ def hold(joint_position: ArrayLike, duration: float, rate: float = 125.0, name: 
 def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Array | None = None) -> Array:
     """Targets of joints at ticks of `period` [s], [tick, joint]: held between a motion's own rows.
 
-    Joints that the motion does not name stay at `rest`; without them all of the robot that it is made for, at home.
+    Other joints stay at `rest`; without `rest`, all joints of the motion's robot are included and stay at home.
     """
     known = load_robot(motion.robot)
     joints, rest = joints or known.joints, known.home if rest is None else rest
@@ -96,7 +96,7 @@ def sample(motion: Motion, period: float, joints: Sequence[str] = (), rest: Arra
 
 
 def gain_rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """A gain, one number, [joint] or [tick, joint], as [tick, joint]; a ValueError in one sentence if it is none."""
+    """A gain, one number, [joint] or [tick, joint], as [tick, joint]; raises a ValueError if it has another shape."""
     try:
         gain = np.broadcast_to(np.asarray(value, dtype=float), shape).copy()
     except ValueError:

@@ -1,4 +1,4 @@
-"""Whether a motion is safe to play: soft limits, speeds, self-collision."""
+"""Safety checks of a motion: soft limits, speeds, self-collision."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -28,10 +28,10 @@ def motion_faults(motion: Motion, mount: str | None = None) -> list[str]:
 
 
 def check_motion(motion: Motion, mount: str | None = None) -> None:
-    """Refuse an unsafe motion.
+    """Raise an error for an unsafe motion.
 
     Raises:
-        ValueError: with the first fault of `motion_faults`.
+        ValueError: the first fault of `motion_faults`.
     """
     faults = motion_faults(motion, mount)
     if faults:
@@ -39,7 +39,7 @@ def check_motion(motion: Motion, mount: str | None = None) -> None:
 
 
 def check_targets(name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray) -> None:
-    """Refuse targets outside the limits, see `outside_limits`: servos in current mode enforce no limit."""
+    """Raise an error for targets outside the limits, see `outside_limits`; servos in current mode enforce no limits."""
     if faults := outside_limits(name, joints, limits, time, position):
         raise ValueError(faults[0])
 
@@ -47,14 +47,14 @@ def check_targets(name: str, joints: Sequence[str], limits: np.ndarray, time: np
 def outside_limits(
     name: str, joints: Sequence[str], limits: np.ndarray, time: np.ndarray, position: np.ndarray
 ) -> list[str]:
-    """Joints that a motion asks for more than their limits [joint, 2], where first, one sentence each."""
+    """One sentence for each joint that a motion moves outside its limits [joint, 2], with the first time."""
     outside = (position < limits[:, 0]) | (position > limits[:, 1])
     faults = []
     for joint in np.flatnonzero(outside.any(0)).tolist():
         row, (low, high) = int(np.argmax(outside[:, joint])), limits[joint]
         faults.append(
-            f"motion {name!r} asks {joints[joint]} for {position[row, joint]:.3f} rad at {time[row]:.3f} s;"
-            f" it may go from {low:.3f} to {high:.3f} rad"
+            f"motion {name!r} commands {joints[joint]} to {position[row, joint]:.3f} rad at {time[row]:.3f} s;"
+            f" its limits are {low:.3f} and {high:.3f} rad"
         )
     return faults
 
@@ -78,7 +78,7 @@ def _collisions(motion: Motion, robot: Robot, position: np.ndarray) -> list[str]
         if gap := parts.nearest(angles):
             return [
                 f"motion {motion.name!r} brings {gap} at {motion.time[row]:.3f} s; at least"
-                f" {CLEARANCE * 1000:.0f} mm must be left: move less, or elsewhere (motion.joints, motion.offset)"
+                f" {CLEARANCE * 1000:.0f} mm are required: reduce or shift the motion (motion.joints, motion.offset)"
             ]
     return []
 

@@ -1,4 +1,4 @@
-"""Motions for the OP3 only: the squat, weight shifts, soft knees, and the walk that is shipped with it."""
+"""Motions for the OP3 only: the squat, weight shifts, compliant knees, and the walk that is shipped with it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,23 +21,23 @@ SQUAT_KNEE_HIGH = 0.6
 SQUAT_LEAN = 0.3
 """Forward lean of the trunk during the squat [rad]; the paper gives no number.
 
-It keeps the centre of mass over the middle of the soles from the lowest to the highest point.
+The lean keeps the centre of mass over the middle of the soles from the lowest to the highest point.
 """
 
 THIGH = 0.11015
-"""Hip pitch axis to knee axis [m]."""
+"""Distance from hip pitch axis to knee axis [m]."""
 
 SHIN = 0.11
-"""Knee axis to ankle pitch axis [m]."""
+"""Distance from knee axis to ankle pitch axis [m]."""
 
 
 def op3_robot() -> Robot:
-    """The robot of this file, read when a motion is made."""
+    """The robot of these motions, read when a motion is built."""
     return load_robot("op3")
 
 
 def squat_position(knee: ArrayLike, lean: float = SQUAT_LEAN) -> Array:
-    """Whole-body angles [..., joint] in rad of a squat at a knee angle [...], the rest at home.
+    """Whole-body angles [..., joint] in rad of a squat at a knee angle [...], with all other joints at home.
 
     The hips stay above the ankles and the soles level while the trunk leans forward by `lean` [rad].
     """
@@ -58,8 +58,8 @@ def squat(
 ) -> Motion:
     """The squat that excites the robot for identification.
 
-    The paper: keeping a forward-leaning posture, the knee goes between 1.47 and 0.6 rad at about 0.5 Hz. Here
-    it follows a raised cosine from the low position, so both ends are passed at rest.
+    In the paper, the robot leans forward and moves the knee between 1.47 and 0.6 rad at about 0.5 Hz. Here the knee
+    follows a raised cosine from the low position, with zero speed at both ends.
 
     Args:
         knee_low: knee angle at the start and at every lowest point [rad].
@@ -83,10 +83,10 @@ def push_down(
     lean: float = SQUAT_LEAN,
     name: str = "push_down",
 ) -> Motion:
-    """The robot's own weight loads the knees slowly: a squat in steps, down and up again, at rest between.
+    """The robot's weight loads the knees slowly: a stepwise squat, down and up again, with rests in between.
 
-    At one depth the load is the same on the way down and up, the direction is not: what differs is what the gear and
-    Coulomb friction hold.
+    At each depth the load is the same on the way down and up but the direction differs, so the difference is due to
+    gear losses and Coulomb friction.
 
     Args:
         knees: knee angles at the holds [rad].
@@ -106,10 +106,10 @@ def push_down(
 def sway(
     amplitude: float = 0.08, frequency: float = 0.4, duration: float = 7.5, around: str = "stand", name: str = "sway"
 ) -> Motion:
-    """From foot to foot: hip and ankle rolls move equally, so the soles stay level while the load shifts.
+    """Shifts the weight from foot to foot: hip and ankle rolls move equally, so the soles stay level.
 
     Args:
-        amplitude: of the four roll joints [rad].
+        amplitude: amplitude of the four roll joints [rad].
         frequency: full cycles per second.
         duration: length [s].
         around: pose in the middle.
@@ -129,15 +129,15 @@ def soften(
     lean: float = SQUAT_LEAN,
     name: str = "soften",
 ) -> Motion:
-    """A crouch whose gain falls and rises: the joints yield to the weight where motor and friction cannot hold.
+    """A crouch whose gain decreases and increases: the joints yield when motor and friction cannot hold the weight.
 
-    It slips where |motor torque| = backward efficiency x |load| less Coulomb friction, and stiffens again from there.
+    A joint slips at |motor torque| = backward efficiency x |load| - Coulomb friction, and stiffens again from there.
 
     Args:
         knee: knee angle commanded throughout [rad].
         p_gain: lowest gain [A/rad]; the highest is that of a squat.
-        cycles: how often it falls and rises.
-        period: of one [s].
+        cycles: number of gain cycles.
+        period: duration of a cycle [s].
         lean: pitch of the trunk [rad], positive forward.
     """
     if not 0 < p_gain <= P_GAIN:
@@ -151,25 +151,25 @@ def soften(
 
 @dataclass(frozen=True)
 class SinusoidalGait:
-    """The walk that the OP3 comes with, which the paper compares against; lengths in m, angles in rad, times in s.
+    """The walk shipped with the OP3, the paper's baseline; lengths in m, angles in rad, times in s.
 
     Sinusoids for body and feet, and the inverse kinematics of the legs. Form and default numbers are those of ROBOTIS'
-    walking module (default parameters of `op3_walking_module`); the code is ours. Gyro feedback is left out.
+    walking module (default parameters of `op3_walking_module`); the code is op3's. Gyro feedback is omitted.
 
     Attributes:
-        period: of a cycle of two steps.
+        period: duration of a cycle of two steps.
         double_support: share of the cycle in which both feet stand.
         step: half the distance that a foot moves against the body in a step; the body advances by four times this in
             a cycle.
         step_sway: forward sway of the body as a share of `step`.
-        foot_height: how high a foot is lifted.
+        foot_height: lift height of a foot.
         sway: sideways sway of the body.
         bob: amplitude of the body's up and down.
-        forward: place of the feet ahead of the hips.
-        sideways: place of the feet outside the hips.
-        crouch: by how much the stretched legs are shortened.
+        forward: position of the feet ahead of the hips.
+        sideways: lateral position of the feet outside the hips.
+        crouch: shortening of the stretched legs.
         lean: forward lean of the trunk.
-        pelvis: how far the hip of the swinging leg is raised.
+        pelvis: lift of the hip of the swinging leg.
     """
 
     period: float = 0.6
@@ -193,7 +193,7 @@ class SinusoidalGait:
     def targets(self, time: Array) -> Array:
         """Targets of all joints [time, joint] in rad at times [time] in s since the start.
 
-        Arms and head stay at home, and the motion grows from nothing in two cycles.
+        Arms and head stay at home, and the motion grows from zero within two cycles.
         """
         grown = np.clip(time / (2 * self.period), 0.0, 1.0)
         position = np.tile(op3_robot().home, (len(time), 1))
@@ -207,7 +207,7 @@ class SinusoidalGait:
         return position
 
     def _foot(self, time: Array, side: int, grown: Array) -> tuple[Array, Array]:
-        """Ankle against the hip of one side, mirrored to the left ([time, xyz]), and how far it is lifted, 0 to 1."""
+        """Ankle position relative to the hip, mirrored to the left side ([time, xyz]), and relative lift, 0 to 1."""
         share = 1.0 - self.double_support
         # the left foot swings about the first quarter of the cycle, the right one half a cycle later
         middle = 0.25 if side > 0 else 0.75
@@ -230,10 +230,10 @@ class SinusoidalGait:
 
 
 def leg_angles(ankle: Array, lean: float | Array = 0.0) -> dict[str, Array]:
-    """Angles [rad] of the left leg's joints, without the yaw, that put the ankle there with the sole level.
+    """Angles [rad] of the left leg's joints, without yaw, that place the ankle there with a level sole.
 
     Args:
-        ankle: place of the ankle relative to the hip's axes, in a frame that does not lean, [..., xyz] in m.
+        ankle: position of the ankle relative to the hip's axes, in a frame that does not lean, [..., xyz] in m.
         lean: forward lean of the trunk [rad], a number or [...].
 
     Raises:

@@ -3,8 +3,8 @@
 The suite takes about 100 s: slow triangles, multisines at high and low gain, squats, steps that exhaust the supply
 voltage, holds at two loads, two orientations of the stand, cold and warm servos, and commands that are repeated.
 `leg_walking` is a poor excitation, a leg that only walks, with which many effects cannot be distinguished. The suites
-of the whole robot give the left leg another one, mirrored, and move arms and head beside them; collisions of limbs are
-not checked, so these suites are only for simulated robots.
+of the whole robot use another, mirrored suite for the left leg and also move arms and head. Collisions of limbs are not
+checked, so these suites are only for simulated robots.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class Excitation:
     """One run of a suite.
 
     Attributes:
-        motion: targets; runs that send the same commands carry the same name.
+        motion: targets; runs with the same commands have the same name.
         p_gain: proportional gain of all joints [A/rad].
         d_gain: derivative gain of all joints [A s/rad].
         tilt: roll and pitch of the stand [rad].
-        warm: whether the servos have worked for long before.
+        warm: whether the servos are warm from earlier work.
     """
 
     motion: Motion
@@ -74,7 +74,7 @@ def leg_suite(seed: int, duration: float = RUN_DURATION) -> list[Excitation]:
     """The rich suite: 26 runs of `duration` [s], in the order in which they are recorded.
 
     Args:
-        seed: of amplitudes, frequencies and phases. Equal seeds give equal commands.
+        seed: seed of amplitudes, frequencies and phases. Equal seeds give equal commands.
         duration: length of one run [s].
     """
     rng = np.random.default_rng([seed, 20])
@@ -119,9 +119,9 @@ def leg_walking(seed: int, duration: float = RUN_DURATION, runs: int = 26) -> li
     """The poor suite: the leg walks in the air, upright, at one gain, cold. Every sixth run repeats the first.
 
     Args:
-        seed: of cadence and stride.
+        seed: seed of cadence and stride.
         duration: length of one run [s].
-        runs: how many.
+        runs: number of runs.
     """
     rng = np.random.default_rng([seed, 21])
     time = np.arange(round(duration * RATE)) / RATE
@@ -142,7 +142,7 @@ def robot_walking(seed: int, duration: float = RUN_DURATION) -> list[Excitation]
 
 
 def _both(right: list[Excitation], left: list[Excitation], seed: int) -> list[Excitation]:
-    """Runs of two legs as runs of the robot; runs that repeated a command still do."""
+    """Combines runs of two legs to runs of the robot; repeated commands are kept."""
     return [
         Excitation(_whole(one.motion, other.motion, seed), one.p_gain, one.d_gain, one.tilt, one.warm)
         for one, other in zip(right, left, strict=True)
@@ -176,7 +176,7 @@ def _motion(time: Array, position: Array, name: str) -> Motion:
 
 
 def _centre() -> Array:
-    """The leg bent as at home [joint]."""
+    """The leg angles of the home pose [joint]."""
     return op3_robot().home[op3_robot().indices(leg_joints())]
 
 
@@ -190,7 +190,7 @@ def _triangles(time: Array, rng: np.random.Generator, shift: float) -> Array:
 
 
 def _multisine(time: Array, rng: np.random.Generator, scale: float) -> Array:
-    """Eight sines per joint between 0.25 and 6 Hz, whose amplitude falls with frequency."""
+    """Eight sines per joint between 0.25 and 6 Hz, whose amplitude decreases with frequency."""
     frequency = np.geomspace(0.25, 6.0, 8)[:, None] * rng.uniform(0.85, 1.15, (8, JOINTS_PER_LEG))
     amplitude = 0.22 / (1 + frequency / 0.8)
     phase = rng.uniform(0, 2 * np.pi, (8, JOINTS_PER_LEG))
@@ -209,7 +209,7 @@ def _squat(time: Array, rng: np.random.Generator, scale: float) -> Array:
 
 
 def _steps(time: Array, rng: np.random.Generator, size: float) -> Array:
-    """Jumps that ask for more current than the supply can give, at other times in each joint."""
+    """Jumps that require more current than the supply can deliver, at different times in each joint."""
     position = np.tile(_centre(), (len(time), 1))
     for joint in range(JOINTS_PER_LEG):
         edges = np.cumsum(rng.uniform(0.35, 0.75, 12))
@@ -219,7 +219,7 @@ def _steps(time: Array, rng: np.random.Generator, size: float) -> Array:
 
 
 def _holds(time: Array, rng: np.random.Generator) -> Array:
-    """Two poses in which gravity loads the joints differently, held while the targets creep up and down."""
+    """Two poses with different gravity loads, held while the targets move slowly up and down."""
     low = _centre() + rng.uniform(-0.15, 0.15, JOINTS_PER_LEG)
     high = low + np.array([0.3, 0.45, 0.55, -0.5, -0.4, 0.5]) * rng.uniform(0.8, 1.2, JOINTS_PER_LEG)
     share = np.clip((time - time[-1] / 2) / 0.3, -0.5, 0.5)[:, None] + 0.5

@@ -20,21 +20,21 @@ D_GAIN = 0.1
 SPAN = 0.6
 """Largest distance of a target from the stand pose [rad]; the paper gives no number.
 
-It lets a leg compensate 10 degrees of tilt at hip and ankle and shorten by half of its travel, and keeps every
-controlled joint inside its soft limits, so that action 0 is the stand pose.
+With it, a leg can compensate 10 degrees of tilt at hip and ankle and shorten by half of its travel. Every controlled
+joint stays inside its soft limits, so that action 0 is the stand pose.
 """
 
 
 HELD_GAIN = 6.0
-"""P gain of joints whose gain no policy commands [A/rad], such as those that hold the stand pose."""
+"""P gain of joints without a commanded gain [A/rad], such as joints that hold the stand pose."""
 
 
 @settings("action map")
 class ActionMap:
     """Actions in [-1, 1] as target angles and P gains, both linear in the action.
 
-    An action ``[..., 2 joint]`` has first the angles of all joints, then their gains; without commanded gains it has
-    only angles. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
+    An action ``[..., 2 joint]`` contains the angles of all joints, then their gains; without commanded gains it
+    contains only angles. Values beyond [-1, 1] are clipped, so no action commands an angle outside the range.
 
     Attributes:
         joints: the controlled joints, in the order of the action.
@@ -59,7 +59,7 @@ class ActionMap:
         robot = load_robot(self.robot)
         limits = robot.limits[robot.indices(self.joints)]
         if len(set(self.joints)) != len(self.joints):
-            raise ValueError(f"action map: joints must be named once each, got {', '.join(self.joints)}")
+            raise ValueError(f"action map: each joint must be listed once, got {', '.join(self.joints)}")
         for name in ("position_low", "position_high"):
             if len(getattr(self, name)) != len(self.joints):
                 given = len(getattr(self, name))
@@ -88,12 +88,12 @@ class ActionMap:
                 none for servos that close their own loop.
 
         Raises:
-            ValueError: naming the term and the field that is unknown or missing.
+            ValueError: if a field is unknown or missing; the message names the term and the field.
         """
         known = {"position": ("span", "joints"), "p_gain": ("low", "high"), "d_gain": ("value",)}
         for name, fields in terms.items():
             if name not in known:
-                raise ValueError(f"actions.{name}: there is no such action term{nearest(name, known)}")
+                raise ValueError(f"actions.{name}: unknown action term{nearest(name, known)}")
             if unknown := [entry for entry in fields if entry not in known[name]]:
                 raise ValueError(f"actions.{name}.{unknown[0]}: unknown field{nearest(unknown[0], known[name])}")
         if "position" not in terms:
@@ -135,7 +135,7 @@ class ActionMap:
 
     @property
     def size(self) -> int:
-        """Numbers in an action: an angle per joint, and a gain if commanded."""
+        """Number of entries in an action: an angle per joint, and a gain per joint if commanded."""
         return (1 if self.gain_low is None else 2) * len(self.joints)
 
     def targets(self, action: Array) -> tuple[Array, Array]:
@@ -145,8 +145,8 @@ class ActionMap:
             action: [..., 2 joint], numpy or torch.
 
         Returns:
-            position_target [..., joint] in rad and p_gain [..., joint] in A/rad, of the kind given; no gains
-            [..., 0] for servos that close their own loop.
+            position_target [..., joint] in rad and p_gain [..., joint] in A/rad, of the same array type as the action;
+            gains are empty, [..., 0], for servos that close their own loop.
 
         Raises:
             ValueError: if the last axis has another length.
@@ -166,8 +166,8 @@ class ActionMap:
             action: [..., 2 joint], numpy or torch.
 
         Returns:
-            position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the kind given;
-            where servos close their own loop also firmware_gain in firmware units.
+            position_target in rad, p_gain in A/rad and d_gain in A s/rad, each [..., robot joint] of the same array
+            type as the action; for servos that close their own loop also firmware_gain in firmware units.
         """
         position, p_gain = self.targets(action)
         robot = load_robot(self.robot)
@@ -216,7 +216,7 @@ class ActionMap:
         """The action [2 joint] that holds the stand pose.
 
         Args:
-            p_gain: P gain of every joint [A/rad]; the highest where None.
+            p_gain: P gain of every joint [A/rad]; None: the highest.
         """
         gain = self.gain_high if p_gain is None else p_gain
         return self.action(load_robot(self.robot).home[self._places], np.full(len(self.joints), gain or 0.0))
@@ -234,7 +234,7 @@ class ActionMap:
             ValueError: if a field is missing, unknown or impossible; the message names it.
         """
         known = {field.name for field in dataclasses.fields(cls)}
-        # bundles from before robot files existed are for the default robot
+        # bundles without a robot are for the default robot
         if not isinstance(values, Mapping) or {*values, "robot"} != known:
             given = ", ".join(map(str, values)) if isinstance(values, Mapping) else repr(values)
             raise ValueError(f"action map: needs exactly the fields {', '.join(sorted(known))}, got {given}")
@@ -254,7 +254,7 @@ class ActionMap:
 
     @cached_property
     def _places(self) -> NDArray[np.int64]:
-        """Place of each controlled joint among the robot's."""
+        """Index of each controlled joint among the robot's joints."""
         return load_robot(self.robot).indices(self.joints)
 
     def _bounds(self, like: Any) -> tuple[Any, Any]:

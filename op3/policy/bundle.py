@@ -65,7 +65,7 @@ class PolicyBundle:
         given = torch.as_tensor(observation)
         if not given.ndim or given.shape[-1] != self.manifest.observation_size:
             raise ValueError(
-                f"the policy reads observations of {self.manifest.observation_size} numbers, "
+                f"the policy needs observations of {self.manifest.observation_size} numbers, "
                 f"got an array of shape {tuple(given.shape)}"
             )
         values = (given.to(torch.float32) - self._mean) / self._scale
@@ -81,7 +81,7 @@ class PolicyBundle:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of the policy's function, 16 hexadecimal digits: of weights and manifest without their origin.
+        """Hash of the policy's function, 16 hexadecimal digits, from weights and manifest without their origin.
 
         Fields at their defaults are ignored, so that fields of later versions do not change the hash.
         """
@@ -99,7 +99,7 @@ class PolicyBundle:
         """Write the bundle atomically.
 
         Args:
-            overwrite: whether a bundle already there is replaced.
+            overwrite: whether to replace an existing bundle.
         """
         folder = Path(folder)
 
@@ -116,10 +116,10 @@ class PolicyBundle:
 
         Raises:
             FileNotFoundError: if a file is missing.
-            ValueError: if the bundle is broken; the message names file, field and remedy.
+            ValueError: if the bundle is invalid; the message names file, field and remedy.
         """
         folder = here_or_shipped(folder)
-        if not (folder / MANIFEST).exists() and (folder / "policy" / MANIFEST).is_file():  # the run of a training
+        if not (folder / MANIFEST).exists() and (folder / "policy" / MANIFEST).is_file():  # a training run
             folder = folder / "policy"
         for name in (MANIFEST, WEIGHTS):
             if not (folder / name).is_file():
@@ -132,9 +132,9 @@ class PolicyBundle:
             raise ValueError(f"{folder / MANIFEST}: {error}; restore the bundle or train again") from None
         try:
             weights = torch.load(folder / WEIGHTS, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch's reader fails in many ways on files that are not its own
+        except Exception as error:  # torch's reader raises many kinds of errors on foreign files
             reason = " ".join(str(error).split())[:80]
-            raise ValueError(f"{folder / WEIGHTS}: not a file of weights ({reason}); restore the bundle") from None
+            raise ValueError(f"{folder / WEIGHTS}: not a valid weights file ({reason}); restore the bundle") from None
         try:
             return cls(manifest, weights)
         except ValueError as error:
@@ -144,7 +144,7 @@ class PolicyBundle:
 def _checked(manifest: Manifest, weights: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     shapes = weight_shapes(manifest)
     if not isinstance(weights, Mapping):
-        raise ValueError(f"the weights are a {type(weights).__name__} and not a mapping of tensors")
+        raise ValueError(f"the weights are a {type(weights).__name__}, not a mapping of tensors")
     if missing := [name for name in shapes if name not in weights]:
         raise ValueError(f"tensor {missing[0]} is missing")
     if unknown := [name for name in weights if name not in shapes]:
@@ -154,10 +154,10 @@ def _checked(manifest: Manifest, weights: Mapping[str, torch.Tensor]) -> dict[st
         tensor = weights[name]
         if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point() or tuple(tensor.shape) != shape:
             given = tuple(tensor.shape) if isinstance(tensor, torch.Tensor) else type(tensor).__name__
-            raise ValueError(f"tensor {name} is {given} where the manifest asks for floats of shape {shape}")
+            raise ValueError(f"tensor {name} is {given}, but the manifest requires floats of shape {shape}")
         checked[name] = tensor.detach().to("cpu", torch.float32, copy=True)
         if not bool(torch.isfinite(checked[name]).all()):
-            raise ValueError(f"tensor {name} holds values that are not finite")
+            raise ValueError(f"tensor {name} contains non-finite values")
     if bool((checked["observation.scale"] <= 0).any()):
-        raise ValueError("tensor observation.scale holds values that are not positive")
+        raise ValueError("tensor observation.scale contains non-positive values")
     return checked

@@ -20,8 +20,8 @@ CARD = "card.yaml"
 FORMAT = "op3-card/1"
 
 LARGEST_SELF_CONTACT = 0.02
-"""Share of steps in which a policy may touch itself to be run on a robot [-]: one misstep of 0.2 s in ten seconds of
-walking. A gait in which one leg leans on the other touches in every step.
+"""Largest share of steps with self-contact for a policy that may run on a robot [-]: one misstep of 0.2 s in ten
+seconds of walking. If one leg leans on the other, it touches in every step of the gait.
 """
 
 
@@ -36,7 +36,7 @@ class Card:
         model: name or file of the robot model.
         robots: number of robots in each row of `robustness`.
         self_contact: share of physics steps in which the robot touches itself.
-        penetration: depth of its deepest contact with itself [m].
+        penetration: depth of the deepest self-contact [m].
         validity: further numbers of the gait, see `op3.envs.gait_validity.GaitValidity`.
         robustness: success by variation, with its 95 % interval.
         pushes: largest impulse survived at the trunk [N s], mean and by direction, with 95 % intervals.
@@ -60,9 +60,9 @@ class Card:
     made: Named[Any] = dataclasses.field(default_factory=dict)
 
     def refusal(self, bundle: PolicyBundle) -> str | None:
-        """Why a robot must not run the policy, in words that follow its name; None if it may."""
+        """The reason why a robot must not run the policy, as text that follows its name; None if it may."""
         if self.policy != bundle.fingerprint:
-            return f"has the card of another policy ({self.policy}, its own is {bundle.fingerprint})"
+            return f"has the card of another policy ({self.policy} instead of {bundle.fingerprint})"
         if self.verdict == "FALLS":
             return "falls in simulation according to its card"
         if self.self_contact > LARGEST_SELF_CONTACT:
@@ -96,7 +96,7 @@ class Card:
         except yaml.YAMLError as error:
             raise ValueError(f"policy card: invalid YAML ({' '.join(str(error).split())})") from None
         if len(documents) != 2 or not isinstance(documents[1], dict):
-            raise ValueError("policy card: a first line WALKS, STANDS or FALLS, a line ---, and fields must be there")
+            raise ValueError("policy card: it must have a first line WALKS, STANDS or FALLS, a line ---, and fields")
         verdict, fields = documents
         if fields.pop("format", None) != FORMAT:
             raise ValueError(f"policy card: format must be {FORMAT!r}")
@@ -113,7 +113,7 @@ def find_card(folder: str | Path) -> Card | None:
     """The card of a bundle; None if it has none.
 
     Raises:
-        ValueError: if the file is broken; the message names file, field and remedy.
+        ValueError: if the file is invalid; the message names file, field and remedy.
     """
     path = here_or_shipped(folder) / CARD
     if not path.is_file():
@@ -128,7 +128,7 @@ def check_card(folder: str | Path, bundle: PolicyBundle) -> Card:
     """The card of a bundle that a robot may run.
 
     Raises:
-        ValueError: if it has no card, or its card refuses it.
+        ValueError: if it has no card, or the card does not allow it.
     """
     card = find_card(folder)
     remedy = f"make one with op3 evaluate policy={folder} task={bundle.manifest.task} card=true"

@@ -1,4 +1,4 @@
-"""Positions and velocities of the soles from joint angles and velocities, as a robot can compute them."""
+"""Positions and velocities of the soles, computed from joint angles and velocities as on a robot."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -24,7 +24,7 @@ class Chains:
     Use the shared `leg_kinematics`.
 
     Args:
-        chains: names of the joints of each chain, equally many, from the base outwards.
+        chains: joint names of each chain, with equal numbers, from the base outwards.
         points: ``[chain, point, xyz]`` in the world of the robot's bare model at angle zero.
     """
 
@@ -56,7 +56,7 @@ class Chains:
     def key_points(self, joint_position: Tensor, joint_velocity: Tensor) -> tuple[Tensor, Tensor]:
         """The key points with the base as origin, in the base's frame.
 
-        The velocity is that of the points relative to the trunk: the Jacobian times the joint velocities.
+        The velocity of the points relative to the trunk is the Jacobian times the joint velocities.
 
         Args:
             joint_position: ``[..., joint]`` in rad, in the robot's order, float64.
@@ -86,7 +86,7 @@ class Chains:
 
 
 def _at_zero(robot: Robot) -> mujoco.MjData:
-    """The bare robot with all its angles at zero."""
+    """The bare robot with all angles at zero."""
     data = mujoco.MjData(robot.bare_model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(robot.bare_model, data)
@@ -119,9 +119,9 @@ def tip_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
         device: device of the angles.
 
     Raises:
-        ValueError: if its file names no tip.
+        ValueError: if the robot file names no tip.
     """
     if robot.file.tip is None:
-        raise ValueError(f"the file of the robot {robot.name} has no tip")
+        raise ValueError(f"the file of the robot {robot.name} has no tip; add tip: <site>")
     with device:
         return Chains(robot, [robot.arm], _at_zero(robot).site(robot.file.tip).xpos[None, None])

@@ -1,4 +1,4 @@
-"""The heading that a robot under velocity commands should have: the same in simulation and on the robot."""
+"""The heading that a robot under velocity commands should have: computed identically in simulation and on the robot."""
 
 from math import pi
 
@@ -7,20 +7,20 @@ from torch import Tensor
 
 LARGEST = 0.3
 """Largest difference between heading and reference [rad]; beyond it the reference follows, so that a robot that was
-turned by hand or lagged behind a command does not turn back.
+turned by hand or lags behind a command does not turn back.
 """
 
 
 def wrapped(angle: Tensor) -> Tensor:
-    """An angle in [-pi, pi) [rad]."""
+    """An angle wrapped to [-pi, pi) [rad]."""
     return torch.remainder(angle + pi, 2 * pi) - pi
 
 
 class HeadingReference:
-    """Integrates commanded rates of turning, within reach of the measured heading.
+    """Integrates commanded turning rates, limited to a range around the measured heading.
 
     Args:
-        count: robots.
+        count: number of robots.
     """
 
     def __init__(self, count: int):
@@ -34,9 +34,9 @@ class HeadingReference:
         """Advance by one policy step.
 
         Args:
-            yaw: measured, ``[robot]`` in rad.
-            rate: commanded in the step, ``[robot]`` in rad/s.
-            period: of the step [s].
+            yaw: measured heading, ``[robot]`` in rad.
+            rate: commanded turning rate in the step, ``[robot]`` in rad/s.
+            period: period of the step [s].
 
         Returns:
             The reference, ``[robot]`` in rad.

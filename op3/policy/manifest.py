@@ -1,4 +1,4 @@
-"""Description of a policy besides its weights: observation, action map, rates and origin."""
+"""Description of a policy without its weights: observation, action map, rates and origin."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -28,12 +28,12 @@ class Training:
         model: name or file of the robot model it was trained on.
         model_hash: hash of that model.
         git_hash: commit of the code.
-        seed: of the run.
+        seed: seed of the run.
         steps: environment steps.
         updates: gradient steps.
-        command: that made it.
+        command: command that trained the policy.
         date: ISO 8601.
-        settings: of the algorithm, plain values.
+        settings: settings of the algorithm, plain values.
     """
 
     model: str = ""
@@ -52,7 +52,7 @@ class Manifest:
     """Observations and actions of a policy.
 
     Attributes:
-        task: it was trained for, `balance` or `walk`.
+        task: task that it was trained for, such as `balance` or `walk`.
         layout: name and size of each part of one observation, in order.
         history: number of earlier observations that are appended to the latest, n in the paper.
         observations: terms of one observation by name, see `op3.policy.observation`; none in files of older versions,
@@ -60,10 +60,10 @@ class Manifest:
         cycle: duration of a gait cycle [s]; None for a policy that does not observe the phase.
         action_map: map from actions to commands.
         hidden: units of the hidden layers.
-        activation: of the hidden layers.
-        command_rate: of the PD control [Hz].
-        policy_rate: of the policy [Hz].
-        normalisation: `fixed` or `running`, how mean and scale of the observation were found.
+        activation: activation function of the hidden layers.
+        command_rate: rate of the PD control [Hz].
+        policy_rate: rate of the policy [Hz].
+        normalisation: `fixed` or `running`: how mean and scale of the observation were determined.
         clip: bound of a normalised observation.
         training: origin.
     """
@@ -97,16 +97,16 @@ class Manifest:
         return sum(self.layout.values()) * (self.history + 1)
 
     def check_fits(self, layout: Mapping[str, int], history: int, command_rate: float, policy_rate: float) -> None:
-        """Refuse a robot or a task whose observations or rates differ from those of the policy's training.
+        """Raise an error for a robot or task whose observations or rates differ from the policy's training.
 
         Args:
             layout: name and size of each part of one observation, in order.
             history: number of earlier observations besides the latest.
-            command_rate: of the PD control [Hz].
-            policy_rate: of the policy [Hz].
+            command_rate: rate of the PD control [Hz].
+            policy_rate: rate of the policy [Hz].
 
         Raises:
-            ValueError: naming the field that differs, both values and the task that the policy was trained for.
+            ValueError: names the differing field, both values and the task of the training.
         """
 
         def said(layout: Mapping[str, int]) -> str:
@@ -126,11 +126,11 @@ class Manifest:
                 )
 
     def check_robot(self, robot: str | Robot) -> None:
-        """Refuse a robot that the policy was not made for; a ValueError that names both."""
+        """Raise a ValueError that names both robots if the policy was trained for another robot."""
         made, here = load_robot(self.action_map.robot).name, load_robot(robot).name
         if made != here:
             raise ValueError(
-                f"the policy was trained for the robot {made}, and this one is {here}; give a policy of its own"
+                f"the policy was trained for the robot {made}, but this one is {here}; use a policy trained for it"
             )
 
     def to_yaml(self) -> str:

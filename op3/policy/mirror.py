@@ -13,7 +13,7 @@ from op3.policy.observations import Sensed
 from op3.robot import load_robot
 
 AXIAL = (-1.0, 1.0, -1.0)
-"""Signs of the mirror image of an axial vector, such as a rotation: y keeps its sign, x and z change theirs."""
+"""Signs of the mirror image of an axial vector, such as a rotation: x and z change sign, y does not."""
 
 SAMPLES = 64
 """Random states from which the mirror image of an observation is derived."""
@@ -24,11 +24,11 @@ right of a CAD model differ by about a millimetre."""
 
 
 class Mirror:
-    """Observations and actions of the robot's mirror image: robot and task are taken to be symmetric.
+    """Observations and actions of the robot's mirror image; robot and task are assumed to be symmetric.
 
     The image of a walk is half a cycle later, because the feet swap roles. The mirror images of a robot's joints, IMU,
-    commands and gait are known. Those of observations are derived from them: the terms are evaluated in random states
-    and in their images, and each number of the image must be plus or minus one number of the original.
+    commands and gait are known. The mirror images of observations are derived from these: terms are evaluated in random
+    states and in their images, and each number of an image must equal plus or minus one number of the original.
 
     Args:
         observer: observer of the policy.
@@ -38,8 +38,8 @@ class Mirror:
         privileged: signs of the image of each privileged number.
 
     Raises:
-        ValueError: if the robot has no plane of symmetry, a joint's partner is not controlled, or a command or a number
-            of the observation has no image.
+        ValueError: if the robot has no plane of symmetry, a joint's partner is not controlled, or a command or an
+            observation has no mirror image.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Mirror:
 
 
 def _random(example: Sensed) -> Sensed:
-    """Random states about that of an example."""
+    """Random states around that of an example."""
     generator = torch.Generator().manual_seed(0)
 
     def scattered(values: Tensor | None, size: float = 0.3) -> Tensor | None:
@@ -127,17 +127,17 @@ def _random(example: Sensed) -> Sensed:
 
 
 def _signed_permutation(original: np.ndarray, image: np.ndarray) -> tuple[Tensor, Tensor] | None:
-    """Index and sign of the number of the original for each number of the image; None if there is none.
+    """Index and sign of the matching original number for each number of the image; None without a match.
 
     Args:
         original: samples, ``[sample, number]``.
-        image: of the same, ``[sample, number]``.
+        image: mirror images of these samples, ``[sample, number]``.
     """
     size = np.linalg.norm(original, axis=0), np.linalg.norm(image, axis=0)
     likeness = (image.T @ original) / np.maximum(np.outer(size[1], size[0]), 1e-12)
     still = size[1] < 1e-9  # numbers that are always 0 are their own images
     likeness[still, still] = 1.0
-    # of several equal numbers, the number itself is taken first
+    # if several numbers are equal, the number itself takes precedence
     nearest = np.argmax(np.abs(likeness) + 1e-6 * np.eye(len(likeness)), axis=1)
     rows = np.arange(len(nearest))
     sign = np.sign(likeness[rows, nearest])

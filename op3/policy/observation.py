@@ -35,7 +35,7 @@ class Observer:
     step to which numbers are rounded; both in the unit of the term; ``delay``, in policy steps.
 
     Args:
-        terms: of one observation, in order.
+        terms: terms of one observation, in order.
         history: number of earlier observations that follow the latest, newest first (paper: 1 for balance, 3 for
             walking).
         example: sensor readings of one robot, ``[1, ...]``, which determine the widths of the terms.
@@ -44,7 +44,7 @@ class Observer:
         layout: name and width of each term, in order.
 
     Raises:
-        ValueError: naming the term, if it does not exist, does not fit the robot, or an option is impossible.
+        ValueError: if a term does not exist or does not fit the robot, or an option is invalid; names the term.
     """
 
     def __init__(self, terms: Terms, robot: Robot, history: int, example: Sensed):
@@ -99,7 +99,7 @@ class Observer:
             RuntimeError: if `reset` was not called before.
         """
         if self._stack is None:
-            raise RuntimeError("an observer begins with reset(sensed)")
+            raise RuntimeError("call reset(sensed) before the first step")
         now = self._observe(sensed, None, noise, begins=False)
         self._stack = torch.cat([now[..., None, :], self._stack[..., :-1, :]], -2)
         return self._stack.flatten(-2)

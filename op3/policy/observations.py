@@ -1,7 +1,7 @@
-"""Observation terms: functions of a robot's sensor readings, the same in simulation and on the robot.
+"""Observation terms: functions of a robot's sensor readings, used in simulation and on the robot.
 
 Each takes a `Sensed` and its own parameters and returns ``[..., number]`` in SI units. A parameter called ``robot``
-gets the robot. A function of your own package works too; the task names it by ``function``.
+receives the robot. Functions of your own package work too, if the task names them by ``function``.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ class Sensed:
     """Values that a robot's computer has at a policy step, float64 tensors ``[..., number]``.
 
     Attributes:
-        joint_position: measured, ``[..., joint]`` in rad, in the robot's order.
-        joint_velocity: measured, ``[..., joint]`` in rad/s.
+        joint_position: measured joint angles, ``[..., joint]`` in rad, in the robot's order.
+        joint_velocity: measured joint velocities, ``[..., joint]`` in rad/s.
         previous_action: the policy's last action, ``[..., action]`` in [-1, 1].
         orientation: roll, pitch and yaw of the base, ``[..., 3]`` in rad; yaw is relative to the beginning of the
             episode. None without an IMU.
-        angular_velocity: in the base's frame, ``[..., 3]`` in rad/s. None without an IMU.
-        phase: of the gait, ``[...]`` in cycles; None for a task without a gait.
-        commands: by name, ``[..., number]``.
+        angular_velocity: angular velocity in the base's frame, ``[..., 3]`` in rad/s; None without an IMU.
+        phase: phase of the gait, ``[...]`` in cycles; None for a task without a gait.
+        commands: commands by name, ``[..., number]``.
     """
 
     joint_position: Tensor
@@ -107,7 +107,7 @@ def phase(sensed: Sensed, command: str | None = None) -> Tensor:
     """Sine and cosine of the gait's phase, equal at the beginning and the end of a cycle.
 
     Args:
-        command: name of a command at whose zero the robot stands; both numbers are then 0. None: it always walks.
+        command: name of a command; while it is zero, the robot stands and both numbers are 0. None: it always walks.
     """
     if sensed.phase is None:
         raise ValueError("the task has no gait")

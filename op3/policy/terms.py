@@ -15,7 +15,7 @@ from torch import Tensor
 from op3.common.settings import imported, mistake, nearest, shown
 
 FUNCTION = "function"
-"""Field of a term's configuration that names its function or class; without it the term's own name does."""
+"""Field of a term's configuration that names its function or class; by default, the term's name is used."""
 
 
 class Term:
@@ -29,11 +29,11 @@ class Term:
         spec: its configuration.
         home: module in which short names are looked up.
         context: values of parameters that the configuration need not give.
-        options: see `options`, with the values that they have where the configuration does not give them.
-        inputs: number of arguments that are not parameters: the state; for events, the world and the time.
+        options: names and default values of the `options`.
+        inputs: number of arguments that are not parameters: the state or, for events, the world and the time.
 
     Attributes:
-        name: of the term in its task.
+        name: name of the term in its task.
         options: fields of the configuration that are not parameters of the function, such as ``weight``.
 
     Raises:
@@ -80,7 +80,7 @@ class Term:
 
     @property
     def keeps_memory(self) -> bool:
-        """Whether it is an instance of a class."""
+        """Whether the term is an instance of a class."""
         return not inspect.isroutine(self.target)
 
     def __call__(self, *inputs: Any) -> Any:
@@ -103,7 +103,7 @@ class Term:
         return value
 
     def _checked(self, function: Callable[..., Any], /, *inputs: Any, **parameters: Any) -> Any:
-        """A call of a function that a user wrote, whose mistakes are reported with term, file and line."""
+        """Call a user's function and report its errors with term, file and line."""
         try:
             return function(*inputs, **parameters)
         except ValueError as error:
@@ -133,9 +133,9 @@ def shape_of(value: Any) -> str:
 
 
 def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:
-    """A function or class by its dotted path, or by its name in the module that holds terms of its kind.
+    """A function or class by its dotted path, or by its name in the module with terms of its kind.
 
-    There a class ``TrackVelocity`` is called ``track_velocity``.
+    In that module, a class ``TrackVelocity`` has the name ``track_velocity``.
     """
     if not isinstance(name, str):
         raise ValueError(f"{where}.function must be the name of a function, got {name!r}")
@@ -143,14 +143,14 @@ def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:
         known = {re.sub(r"(?<!^)(?=[A-Z])", "_", key).lower(): getattr(home, key) for key in home.__all__}
         if name not in known:
             raise ValueError(
-                f"{where}: there is no term {name!r}{nearest(name, known)}, or give function: package.name"
+                f"{where}: there is no term {name!r}{nearest(name, known)}; or give function: package.name"
             )
         return known[name]
     return imported(name, f"{where}.function")
 
 
 def _arguments(function: Any, inputs: int) -> dict[str, inspect.Parameter]:
-    """Parameters that a configuration may set: all of a class, and all of a function after its inputs."""
+    """Parameters that a configuration may set: all parameters of a class, or those of a function after its inputs."""
     found = list(inspect.signature(function).parameters.items())
     found = found if inspect.isclass(function) else found[inputs:]
     return {name: p for name, p in found if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}

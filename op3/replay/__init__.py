@@ -1,4 +1,4 @@
-"""A log's commands, or a motion, through a model: predictions, windows and free-run simulation."""
+"""Simulation of a log's commands or of a motion with a model: predictions, windows and free-run simulation."""
 
 from typing import TYPE_CHECKING
 

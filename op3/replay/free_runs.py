@@ -1,7 +1,7 @@
 """Free-run simulation of whole logs: closed-loop predictions from their first rows and commands alone.
 
-Simulated velocities get the delay of the measured ones, of which a model's filter is a part, so that the delay of the
-measurement does not count as an error of the model.
+Simulated velocities get the delay of the measured velocities, which includes a model's filter, so that the measurement
+delay does not count as a model error.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ SETTLE = 0.2
 
 
 def settle_time(logs: Sequence[Rollout]) -> float:
-    """Time for which the first command of logs is held before their replay [s]; zero if nothing holds the joints."""
+    """Time for which the first command of logs is held before their replay [s]; zero without a controller."""
     held = [bool((log.array("command/torque_enable")[0] > 0.5).all()) for log in logs if "command/torque_enable" in log]
     return SETTLE if all(held) else 0.0
 
@@ -39,7 +39,7 @@ class FreeRuns:
 
     def __init__(self, logs: Sequence[Rollout]):
         self.logs = list(logs)
-        # a few logs keep one thread busy; handing their steps to more took three times the processor time
+        # one thread is enough for a few logs; more threads took three times the processor time
         self._replay = Replay([with_whole_limbs(log) for log in logs], settle=settle_time(logs), num_threads=1)
         self.channels = {key: unit for key, unit in CHANNELS.items() if all(key in log for log in logs)}
         self._lag = np.zeros(len(logs[0].joints))
@@ -66,7 +66,7 @@ class FreeRuns:
         return replace(prediction, channels={**prediction.channels, key: values})
 
     def squares(self, predictions: Sequence[Prediction], key: tuple[str, str]) -> list[np.ndarray]:
-        """Mean squares of a channel by log, ``[second]`` each, means over the joints of which it was measured."""
+        """Mean squares of a channel by log, ``[second]`` each, averaged over the joints with measurements."""
         both = zip(self.errors(predictions, key), self.logs, strict=True)
         return [by_second(error[:, log.measured(key)].mean(1), log) for error, log in both]
 
@@ -82,7 +82,7 @@ class FreeRuns:
 
 
 def by_second(values: np.ndarray, log: Rollout) -> np.ndarray:
-    """Means over the seconds of a log's first rows, ``[second]``."""
+    """Means over each second of a log's first rows, ``[second]``."""
     time = log.array("time")[: len(values), 0]
     second = (time - time[0]).astype(int)
     return np.array([values[second == s].mean() for s in np.unique(second)])

@@ -1,4 +1,4 @@
-"""Parameters for every log: those of candidates, and those that hold only under a log's conditions."""
+"""Parameters for every log: values of candidates, and values under the log's conditions."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,14 +15,14 @@ def parameters_per_log(
 ) -> dict[str, Tensor]:
     """Parameters of simulation ``c * len(logs) + l``, which is candidate c on log l.
 
-    A value under a condition, of the model or given, replaces the shared one if the condition holds.
+    A value under a condition, from the model or the arguments, replaces the shared value if the condition holds.
 
     Args:
-        model: gives conditional values that are not given.
-        parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]`` or a number.
+        model: model with all other conditional values.
+        parameters: values by name, possibly with a condition: ``[candidate]`` or ``[candidate, joint]`` or a number.
 
     Returns:
-        By name without conditions, ``[candidate * log]`` or ``[candidate * log, joint]`` or a number.
+        Values by name without conditions, ``[candidate * log]`` or ``[candidate * log, joint]`` or a number.
 
     Raises:
         ValueError: if a parameter has not one value per candidate, or a condition names an unknown field.
@@ -64,7 +64,7 @@ def _per_joint(base: str, value: Tensor, given: Mapping[str, Tensor], joints: Se
 
 
 def _special(model: RobotModel, base: str, metadata: Mapping, otherwise: Tensor) -> Tensor | float:
-    """The model's own value under the condition that holds, if one does."""
+    """The model's value under the condition that holds, if any."""
     by = model.estimates[base].by if base in model.estimates else {}
     return next((special.value for condition, special in by.items() if condition.holds(metadata)), otherwise)
 

@@ -1,4 +1,4 @@
-"""Open-loop replay: the commands of logs through the simulation, for many parameter sets at once."""
+"""Open-loop replay: simulates the commands of logs for many parameter sets at once."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ BENCH_SAMPLING = 0.005
 """Interval between simulated states of a pendulum that are stored [s]; others are interpolated."""
 
 SAME_RATE = 0.02
-"""Relative difference up to which a measured rate counts as the usual one."""
+"""Relative difference up to which a measured rate counts as the usual rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Prediction:
 
     Attributes:
         log: the log that was replayed.
-        channels: by channel, ``[candidate, time, joint | 3]`` at the log's own times.
+        channels: values by channel, ``[candidate, time, joint | 3]`` at the log's times.
         failed: candidates whose simulation diverged, ``[candidate]``.
         simulated_seconds: simulated time spent on this log, over all candidates [s].
     """
@@ -44,17 +44,17 @@ class Prediction:
 class Replay:
     """Replays a fixed set of logs for any model and any parameters.
 
-    The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and
-    then receives each command at the control tick at which it was in force. Of the measurements after the first row,
-    the simulation receives only the bus voltage, if the log has it. A log from the stand may have only some complete
-    limbs; the others are left out. A robot's PD ticks at the rate of the log's rows, or at the ``control_rate`` [Hz] of
-    its metadata's ``extra``. Servos that close the loop themselves do so with the gain of the log or of its metadata,
-    else with that of their make.
+    The simulation starts from the log's first row at rest, holds the first command for ``settle`` seconds, and then
+    receives each command at the control tick at which it applied. Of the measurements after the first row, the
+    simulation receives only the bus voltage, if the log has it. A log from the stand may have only some complete limbs;
+    the other limbs are omitted. A robot's PD ticks at the rate of the log's rows, or at the ``control_rate`` [Hz] of
+    its metadata's ``extra``. Servos that close the loop themselves use the gain of the log or its metadata, otherwise
+    that of their make.
 
     Args:
-        logs: what to replay; mounts may differ.
+        logs: logs to replay; mounts may differ.
         settle: time before the first row in which the first command is held [s].
-        duration: replay no more than this [s].
+        duration: longest replay [s].
         bench_timestep: simulation step of bench logs [s].
         num_threads: threads that step the physics of a robot; 0 for all processors.
     """
@@ -79,7 +79,7 @@ class Replay:
 
     @property
     def seconds(self) -> float:
-        """Simulated time of one parameter set [s]."""
+        """Simulated time per parameter set [s]."""
         return sum(group.seconds for group in self._groups)
 
     def run(
@@ -93,16 +93,16 @@ class Replay:
         """Simulate every log for every candidate.
 
         Args:
-            model: effects, and values for parameters that are not given.
-            parameters: by name, which may carry a condition: ``[candidate]`` or ``[candidate, joint]``.
-            progress: called with the share done, 0 to 1.
+            model: effects, and values of all other parameters.
+            parameters: values by name, possibly with a condition: ``[candidate]`` or ``[candidate, joint]``.
+            progress: function called with the completed share, 0 to 1.
             push: torque on the joints in addition to the servos' [N m], of each log ``[row, joint]``; of a robot only.
 
         Returns:
             One prediction per log, in the order of the logs.
 
         Raises:
-            ValueError: if a bench is to be pushed.
+            ValueError: if `push` is given for a bench.
         """
         if push is not None and any(group.setup.pendulum for group in self._groups):
             raise ValueError("push: a bench has no torque other than its servo's")
@@ -136,7 +136,7 @@ class _Group:
         return (self.ticks + self.settle) * self.period * len(self.logs)
 
     def _commands(self) -> dict[str, Tensor]:
-        """Commands in force at every tick, ``[tick, log, joint]``; constant ones as ``[1, log, joint]``.
+        """Commands at every tick, ``[tick, log, joint]``; constant commands have the shape ``[1, log, joint]``.
 
         A command that a log does not have is NaN here: the model's value replaces it, or the replay is refused.
         """
@@ -146,7 +146,8 @@ class _Group:
             held = []
             for log, time in zip(self.logs, self.times, strict=True):
                 if channel in log:
-                    # a command counts from the tick nearest to its stamp: a jittering clock does not cost a tick
+                    # a command applies from the tick nearest to its time stamp, so that clock jitter does not cost a
+                    # tick
                     near = at + 0.5 * min(self.period, float(np.median(np.diff(time))))
                     row = np.clip(np.searchsorted(time, near, side="right") - 1, 0, len(time) - 1)
                     held.append(log.array(channel)[row])
@@ -175,7 +176,7 @@ class _Group:
                 channel = next("/".join(key) for key, command in COMMAND_CHANNELS.items() if command == name)
                 raise LogError(
                     f"the log has no {channel}, which the model's servos need",
-                    f"record it, write `{name}:` into the log's YAML, or choose a model of the servo that was recorded",
+                    f"record it, write `{name}:` into the log's YAML, or choose a model of the recorded servo",
                     source=log.metadata.recording,
                     column=channel,
                 )
@@ -195,7 +196,7 @@ class _Group:
         return result
 
     def _held_push(self, push: Sequence[np.ndarray]) -> np.ndarray:
-        """Torque in force at every tick, ``[tick, log, joint]``."""
+        """Applied torque at every tick, ``[tick, log, joint]``."""
         at = np.arange(self.ticks) * self.period + 0.5 * self.period
         rows = [np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1) for time in self.times]
         return np.stack([push[i][row] for i, row in zip(self.members, rows, strict=True)], axis=1)
@@ -235,7 +236,7 @@ class _Group:
 
 
 class _Channels(Mapping[tuple[str, str], Tensor]):
-    """Channels at a log's own times, each interpolated at its first use, since most callers need few of them."""
+    """Channels at a log's times, interpolated when first used, because most callers need few of them."""
 
     def __init__(self, keys, samples_of, rows: slice, recorded: np.ndarray, time: np.ndarray):
         self._keys, self._samples_of, self._rows = tuple(keys), samples_of, rows
@@ -263,7 +264,7 @@ def _mount(log: Rollout) -> tuple[str, float, float]:
 
 
 def _control_period(log: Rollout) -> float:
-    """Time between commands to a robot [s], by the metadata; the usual one if it is nearly that, or of a bench.
+    """Time between commands to a robot [s] from the metadata; the usual time if it is nearly equal, or for a bench.
 
     Logs are simulated together if it is equal to a hundredth of a millisecond: commands are applied at their time
     stamps.
@@ -283,8 +284,8 @@ def _fallback(command: str, log: Rollout) -> ArrayLike:
 
 
 def gain_of(log: Rollout) -> ArrayLike:
-    """Gain of the servos' position loop: the log's, else that of their makes, [joint]; NaN if the loop is outside of
-    the servo."""
+    """Gain of the servos' position loop from the log or otherwise from their makes, [joint]; NaN if outside the
+    servo."""
     laws = [make.position_law for make in map(log.robot.servo, log.joints) if make.loop == "firmware"]
     return log.metadata.firmware_gain or [law.gain.si for law in laws if law] or np.nan
 

@@ -1,4 +1,4 @@
-"""Logs of a planned excitation, simulated with the model, to evaluate it before robot time is spent."""
+"""Logs of a planned excitation, simulated with the model, which allows evaluating it before spending robot time."""
 
 import datetime
 from collections.abc import Sequence
@@ -25,11 +25,11 @@ BEGIN = datetime.datetime(2026, 1, 1)
 """Start of the first planned run; only differences of times matter."""
 
 SIMULATED = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
-"""Channels that are taken from the simulation."""
+"""Channels from the simulation."""
 
 
 def with_whole_limbs(log: Rollout) -> Rollout:
-    """A log of some joints on the stand as one of their limbs, whose other joints are held at home."""
+    """A log of some joints on the stand, extended to their limbs with the other joints held at home."""
     robot = log.robot
     joints = robot.whole_limbs(log.joints)
     if log.metadata.mount != "stand" or log.joints == joints:
@@ -51,10 +51,10 @@ def with_whole_limbs(log: Rollout) -> Rollout:
 
 
 def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollout]:
-    """Logs of one leg on the stand under the runs of a suite, each command once.
+    """Logs of one leg on the stand for the runs of a suite, each command once.
 
     Args:
-        suite: see `op3.motions.leg_suite`.
+        suite: runs, see `op3.motions.leg_suite`.
     """
     commands, begin = [], BEGIN
     for number, run in enumerate({run.motion.name: run for run in suite}.values()):
@@ -68,13 +68,13 @@ def planned_suite(model: RobotModel, suite: Sequence[Excitation]) -> list[Rollou
 
 
 def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollout]:
-    """Logs of the joints that move, of motions of the library on the stand.
+    """Logs of library motions on the stand, with only the moving joints.
 
     Args:
-        motions: all of which can be played on the stand.
+        motions: motions that can be played on the stand.
 
     Raises:
-        ValueError: if one cannot, or no joint moves; one sentence.
+        ValueError: if a motion cannot be played, or no joint moves.
     """
     for motion in motions:
         check_motion(motion, "stand")
@@ -95,7 +95,7 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
 
 
 def _command(run: Excitation, number: int, begin: datetime.datetime) -> Rollout:
-    """A log with the commands of a run, and a leg at rest in its first pose."""
+    """A log with the commands of a run and a leg at rest in the first pose."""
     target = run.motion.position
     ones = np.ones_like(target)
     arrays: dict[Any, np.ndarray] = {

@@ -16,7 +16,7 @@ from op3.servo import RobotModel
 from op3.sim import BatchSimulation, PendulumSimulation, attach_servos
 
 BENCH_CONTROL_PERIOD = 0.001
-"""Time between cycles of a servo's own position loop in simulation [s]."""
+"""Period of a servo's internal position loop in simulation [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,8 @@ class Setup:
     Attributes:
         scene: the scene.
         mj_model: its compiled model.
-        joints: joint names as logs spell them.
-        base_body: full name of the robot's base; None where its file names none, and on the bench.
+        joints: joint names as in logs.
+        base_body: full name of the robot's base; None if its file names none, and on the bench.
         control_period: time between commands [s].
     """
 
@@ -54,10 +54,9 @@ class Setup:
             mount: ``floor``, ``stand``, ``pendulum`` or a brick surface.
             bench_timestep: simulation step of a pendulum, and cycle of its servo's position loop [s].
             tilt: roll and pitch of the stand [rad].
-            joints: of the logs; on the stand the robot has no more limbs than these. None: all.
-            control_period: time between commands to a robot [s]; a simulation step is a whole part of it, of at most
-                1 ms.
-            robot: that made the logs, or its file.
+            joints: joints of the logs; on the stand, other limbs are omitted. None: all joints.
+            control_period: time between commands to a robot [s]; the simulation step is at most 1 ms and divides it.
+            robot: robot of the logs, or its file.
 
         Raises:
             ValueError: for a ground that the log does not determine, such as a moving board.

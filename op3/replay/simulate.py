@@ -1,4 +1,4 @@
-"""Motions played in simulation: as logs without noise, and as a robot records them."""
+"""Plays motions in simulation, as logs without noise or as recordings of a robot."""
 
 from collections.abc import Mapping
 
@@ -25,10 +25,10 @@ def simulate_motion(
     mount: str | None = None,
     gains: Mapping[str, ArrayLike] | None = None,
 ) -> Rollout:
-    """Play a motion with its own gains, or with those of the firmware if that closes the loop.
+    """Play a motion with its gains, or with the firmware's gains if the firmware closes the loop.
 
     Args:
-        motion: with one row per tick of the robot's PD loop; joints that it does not name stay at home.
+        motion: motion with one row per tick of the robot's PD loop; other joints stay at home.
         mount: ``floor`` or ``stand``; by default the motion's first one.
         gains: commands that replace the motion's, such as ``p_gain``, broadcastable to ``[row, joint]``.
 
@@ -68,7 +68,7 @@ def simulate_motion(
 
 
 def _gains(motion: Motion, robot: Robot) -> dict[str, ArrayLike]:
-    """The gains that the robot's servos are played with."""
+    """The gains with which the robot's servos play the motion."""
     if robot.servos[0].loop == "firmware":
         return {"firmware_gain": robot.firmware_gain}
     return {"p_gain": np.reshape(motion.p_gain, (-1, 1)), "d_gain": np.asarray(motion.d_gain)}
@@ -77,13 +77,13 @@ def _gains(motion: Motion, robot: Robot) -> dict[str, ArrayLike]:
 class ModelRobot:
     """A robot simulated with a known model: it plays motions as a stand-in does, without hidden parameters.
 
-    Sensors read in whole units of the servos' registers, with noise of one unit.
+    Sensors are quantised to register units, with noise of one unit.
 
     Args:
         robot: a name in `assets/robots`, or the path of a robot file.
-        model: a name or file; None: the robot's own.
+        model: a name or file; None: the robot's model.
         mount: ``floor`` or ``stand``.
-        seed: of the noise; every recording draws from its own stream.
+        seed: seed of the noise; every recording draws from its own stream.
     """
 
     def __init__(self, robot: str, model: str | None = None, mount: str = "stand", seed: int = 0):

@@ -12,13 +12,13 @@ from op3.rollout.rollout import Rollout
 from op3.rollout.schema import COMMAND_CHANNELS
 
 HALF_WIDTH = 3
-"""Ticks of 8 ms on each side that the local cubic of the smoothed state covers; the same time at other rates."""
+"""Half width of the local cubic of the smoothed state in ticks of 8 ms; at other rates it covers the same time."""
 
 TICK = 0.008
 """Usual time between rows [s]."""
 
 SAME_RATE = 0.02
-"""Relative difference up to which rows come at the rate that the metadata say."""
+"""Relative difference up to which rows have the rate in the metadata."""
 
 POSITION_NOISE = 0.0006
 """Standard deviation of a position reading, half a count of a 4096-step encoder and a little more [rad]."""
@@ -53,16 +53,16 @@ class SmoothLog:
     """A log on a uniform grid of ticks, ``[tick, joint]``.
 
     Attributes:
-        log: where it comes from.
-        period: between ticks [s].
+        log: source log.
+        period: time between ticks [s].
         time: of the ticks, from the log's first row on, give or take its jitter [s].
-        position: smoothed [rad].
-        velocity: smoothed [rad/s].
-        acceleration: smoothed [rad/s2].
+        position: smoothed angles [rad].
+        velocity: smoothed velocities [rad/s].
+        acceleration: smoothed accelerations [rad/s2].
         readings: raw channels by key, at the ticks.
-        control: position and velocity as the controller read them, row by row [rad], [rad/s].
+        control: position [rad] and velocity [rad/s] as the controller read them, by row.
         rough: distance of the readings from the smoothed state, in standard deviations, ``[tick]``.
-        inputs: by signal name.
+        inputs: inputs by signal name.
         tilt: roll and pitch of the stand [rad].
         sway: angular acceleration of the trunk in its axes [rad/s2] and its rate [rad/s3], from the gyro, ``[tick, 2,
             3]``; None without a gyro.
@@ -87,8 +87,8 @@ class VelocitySensing:
     """Delay and noise of velocity readings, by joint.
 
     Attributes:
-        lag: their delay [s], ``[joint]``.
-        noise: their standard deviation [rad/s], ``[joint]``, as assumed in smoothing.
+        lag: delay [s], ``[joint]``.
+        noise: standard deviation assumed in smoothing [rad/s], ``[joint]``.
     """
 
     lag: np.ndarray
@@ -103,7 +103,7 @@ def half_width(period: float) -> int:
 def period_of(log: Rollout) -> float:
     """Time between rows [s]: that of the metadata if the rows agree with it, else that of the time stamps."""
     time = log.array("time")[:, 0]
-    # stamps may be rounded to milliseconds, which the mean does not feel, or rows be missing, which the median does not
+    # the mean is robust against time stamps rounded to milliseconds, the median against missing rows
     mean, median = float(time[-1] - time[0]) / max(1, len(time) - 1), float(np.median(np.diff(time)))
     told = 1.0 / log.metadata.rate
     return told if min(abs(told - mean), abs(told - median)) <= SAME_RATE * told else median
@@ -115,10 +115,10 @@ def kernels(
     """Weights ``[position | velocity | acceleration, reading of position | of velocity, lag]`` of a local cubic.
 
     Args:
-        period: between readings [s].
-        half: readings on each side.
+        period: time between readings [s].
+        half: number of readings on each side.
         lag: delay of velocity readings [s].
-        noise: of velocity readings [rad/s].
+        noise: standard deviation of velocity readings [rad/s].
     """
     t = np.arange(-half, half + 1) * period
     value = np.stack([np.ones_like(t), t, t**2 / 2, t**3 / 6], 1) / POSITION_NOISE
@@ -130,13 +130,13 @@ def kernels(
 
 
 def smooth_all(logs: Sequence[Rollout]) -> list[SmoothLog]:
-    """Smooth logs of one robot, with the delay and noise of velocity readings estimated from them.
+    """Smooth logs of one robot; delay and noise of velocity readings are estimated from these logs.
 
     Velocity readings are several times more accurate than differences of positions, but delayed by an unknown filter of
     the servo; an error of 2 ms in the delay is an error of 0.1 rad/s while a joint accelerates.
 
     Raises:
-        LogError: as `smooth`.
+        LogError: see `smooth`.
     """
     period = float(np.median([period_of(log) for log in logs]))
     rough = [smooth(log, period=period) for log in logs]
@@ -179,9 +179,9 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     """Put a log on a uniform grid and smooth its state.
 
     Args:
-        log: with joint positions and commands.
+        log: log with joint positions and commands.
         sensing: delay and noise of its velocity readings; None: the usual ones.
-        period: of the grid [s]; by default that of its rows.
+        period: period of the grid [s]; by default the log's row interval.
 
     Raises:
         LogError: if it lacks positions or commands, or is too short.
@@ -189,18 +189,18 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
     time = log.array("time")[:, 0] - log.array("time")[0, 0]
     period = period or period_of(log)
     half = half_width(period)
-    # the first row is as early or late as any other
+    # the first row has the same jitter as others
     time = time - float(np.median(time - period * np.round(time / period)))
     grid = np.arange(int(time[-1] / period + 0.25) + 1) * period
     if len(grid) < 2 * half + 2:
-        raise LogError("the log is too short", "record some seconds", source=log.metadata.recording, column="time")
+        raise LogError("the log is too short", "record a few seconds", source=log.metadata.recording, column="time")
     if "joint/position" not in log or "command/position" not in log:
         raise LogError(
             "the log has no joint positions or no commands",
             "record <joint>.position and <joint>.target",
             source=log.metadata.recording,
         )
-    # a current is held between commands: its nearest reading, not a mean of two
+    # a current is held between commands, so the nearest reading is used instead of a mean
     nearest = np.clip(np.searchsorted(time, grid - 0.5 * period), 0, len(time) - 1)
     readings = {
         key: log.array(key)[nearest] if key[1] == "current" else _interpolated(log.array(key), time, grid)
@@ -237,13 +237,13 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
 
 
 def _roughness(state: np.ndarray, lagged: np.ndarray, period: float, sensing: VelocitySensing) -> np.ndarray:
-    """Largest joint's misfit of the parabola through a smoothed state, in standard deviations of a reading, ``[tick]``.
+    """Largest misfit of a joint's parabola through a smoothed state, in standard deviations of a reading, ``[tick]``.
 
     Args:
         state: position, velocity and acceleration, ``[order, tick, joint]``.
         lagged: readings around each tick, ``[position | velocity, lag, tick, joint]``.
-        period: between ticks [s].
-        sensing: of the velocities.
+        period: time between ticks [s].
+        sensing: delay and noise of the velocities.
     """
     half = len(lagged[0]) // 2
     t = np.arange(-half, half + 1)[:, None, None] * period

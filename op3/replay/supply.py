@@ -1,4 +1,4 @@
-"""The supply voltage between two readings: its value without current, and its fall with currents.
+"""The supply voltage between two readings, modelled as open-circuit voltage and drop due to currents.
 
 Servos report their voltage once per control period, and it falls by more than half a volt as soon as a command reaches
 a few of them. A voltage held between readings would be wrong for a whole period in which it limits a current.
@@ -20,19 +20,19 @@ STEADY = 0.25
 """Time to each side over which the open-circuit voltage, which changes slowly, is averaged [s]."""
 
 ROUNDED = 0.1
-"""Unit of a servo's voltage where its make is not known [V]: that of all makes in `assets/servos`."""
+"""Unit of an unknown servo's voltage [V], the same for all makes in `assets/servos`."""
 
 TELLING = 0.2
 """Smaller changes of the voltage do not determine a resistance [V]."""
 
 
 def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
-    """Inner resistance of the supply [ohm], and its voltage without current, of every log ``[tick, joint]`` [V].
+    """Internal resistance of the supply [ohm], and its open-circuit voltage in every log ``[tick, joint]`` [V].
 
-    The resistance is 0, and voltages are those measured, if the currents do not explain the changes of the voltage.
+    If the currents do not explain the changes of the voltage, the resistance is 0 and the voltages are measured ones.
 
     Args:
-        logs: with bus voltage and currents, of one robot.
+        logs: logs of one robot with bus voltage and currents.
     """
     measured = [log.inputs["bus_voltage"] for log in logs]
     drawn = [np.abs(log.readings["joint", "current"]).sum(1) for log in logs]
@@ -48,7 +48,7 @@ def open_voltages(logs: Sequence[SmoothLog]) -> tuple[float, list[np.ndarray]]:
     opened = [voltage + resistance * current[:, None] for voltage, current in zip(measured, drawn, strict=True)]
     steady = [_mean_around(voltage, round(STEADY / log.period)) for voltage, log in zip(opened, logs, strict=True)]
     noise = np.concatenate([a - b for a, b in zip(opened, steady, strict=True)])
-    # a board, arms or another load on the same supply: what is left is no rounding, and no one resistance
+    # a board, arms or another load on the same supply: the remainder is not rounding, so no resistance fits
     units = [make.counts.voltage.si for log in logs for make in log.log.servos if make is not None]
     if noise.std() > max(units, default=ROUNDED):
         return 0.0, measured

@@ -26,14 +26,14 @@ from op3.sim.held_base import FixedBase, PendulumBase, fixed_base
 from op3.sim.window_simulation import MISREADING, ZERO
 
 LENGTHS = {"stand": 0.2, "pendulum": 0.8}
-"""Length of a window by what holds the base [s]. A limb soon diverges from the measurement. A bench's arm does not, but
+"""Length of a window by mount [s]. A limb soon diverges from the measurement. A bench's arm does not, but
 is light: in 0.2 s its sensors resolve its torque to 1.4 to 1.9 % (STS3032, XL330), those of a robot to 0.1 to 0.5 %."""
 
 HELD = tuple(LENGTHS)
 """Mounts that hold the base."""
 
 FEWEST_TICKS = 4
-"""Readings of a window: one in each of its pieces."""
+"""Number of readings in a window: one per piece."""
 
 STEP = 0.001
 """Longest unstretched simulation step [s]; a tick is a whole number of steps."""
@@ -51,9 +51,9 @@ class WindowResiduals:
     """Windows of logs, and the errors of any model on them.
 
     Args:
-        logs: all of one mount that holds the base, with the same joints.
+        logs: logs of one mount that holds the base, with the same joints.
         windows: number of windows.
-        length: of a window [s]; by default that of the mount.
+        length: length of a window [s]; by default set by the mount.
         closed: whether the computer's controller acts on the simulated readings; otherwise it sends the commands of the
             log.
 
@@ -62,10 +62,10 @@ class WindowResiduals:
 
     Attributes:
         windows: log and tick at which each begins.
-        measured: ``[window, tick, joint, channel]``.
-        known: which readings are compared, ``[joint, channel]``: recorded, and not excluded by the checks of a log; the
-            rate of a bench's angle is not a reading of its own.
-        motion: of all windows' ticks one behind another, each with its lead.
+        measured: measured channels, ``[window, tick, joint, channel]``.
+        known: which readings are compared, ``[joint, channel]``: recorded and not excluded by the checks; the angle
+            rate of a bench is not an independent reading.
+        motion: of all windows' ticks in sequence, each with its lead.
     """
 
     def __init__(
@@ -102,14 +102,14 @@ class WindowResiduals:
         self.measured = np.stack([self._readings(key) for key in CHANNELS], -1)
 
     def thinned(self, count: int) -> "WindowResiduals":
-        """An even selection of these windows."""
+        """Evenly selected windows."""
         other = copy.copy(self)
         other._begin([self.windows[i] for i in np.linspace(0, len(self.windows) - 1, count).round().astype(int)])
         return other
 
     @property
     def lengths(self) -> list[float]:
-        """Lengths of the arms of a bench [m]; none for a robot."""
+        """Arm lengths of a bench [m]; empty for a robot."""
         told = [log.log.metadata for log in self.smooth_logs]
         return [float(one.length) for one in told if one.mount == "pendulum" and one.length]
 
@@ -181,8 +181,8 @@ class WindowResiduals:
         self._unchanged: dict[Base, TrajectoryDynamics] = {}
 
     def part(self, columns: Sequence[int] | np.ndarray) -> "WindowResiduals":
-        """The windows of only some joints, those of a limb: with a held base limbs are not coupled. If the bus voltage
-        falls with the currents, other joints draw their measured currents.
+        """The windows with only the joints of one limb, because limbs are not coupled with a held base. If the bus
+        voltage falls with the currents, other joints draw their measured currents.
         """
         at, whole, other = list(columns), self.motion, copy.copy(self)
         beside = np.abs(whole.current).sum(1) - np.abs(whole.current[:, at]).sum(1)
@@ -214,7 +214,7 @@ class WindowResiduals:
         return self._swaying(_merged(parts, len(q)))
 
     def _swaying(self, still: TrajectoryDynamics) -> TrajectoryDynamics:
-        """Dynamics along the motion on a stand at rest, and on one that sways according to the gyro."""
+        """Dynamics along the motion on a resting stand, and on a stand that sways as the gyro measured."""
         return replace(still, bias=still.bias + np.einsum("tjk,tk->tj", still.carried, self.sway[:, 0]))
 
     def _change(self, model: RobotModel, name: str, joint: int | None, amount: float) -> TrajectoryDynamics | None:
@@ -227,7 +227,7 @@ class WindowResiduals:
         return self._edits[key]
 
     def _elsewhere(self, joint: int) -> TrajectoryDynamics:
-        """Dynamics added per unit of a zero error of a joint's encoder: it stands behind its reading."""
+        """Dynamics added per unit of an encoder's zero error, because the joint differs from its reading."""
         position = self._position.copy()
         position[:, joint] -= ZERO_STEP
         return self._added([base.mj_model for base, _ in self._held], position, ZERO_STEP)
@@ -245,16 +245,16 @@ class WindowResiduals:
     def simulation(
         self, model: RobotModel, stretch: int = 1, parameters: Mapping[str, Tensor] | None = None
     ) -> WindowSimulation:
-        """A simulation of the windows under a model, in steps stretched at most so many times, if it can.
+        """A simulation of the windows with a model, in steps that are longer by up to this factor if the model allows.
 
-        Edits of bodies are known to it where these parameters, or else the model's, have some.
+        It includes the body edits of these parameters or otherwise of the model.
         """
         values = model.tensors(self.joints) | dict(parameters or {})
         for effect in model.effects:
             for edit in effect.edits:
                 known = model.parameters()[edit.parameter]
                 if edit == ROTOR or edit.target == "base_body":
-                    continue  # the rotor is on the diagonal; a base that is held carries whatever it weighs
+                    continue  # the rotor is on the diagonal; the weight of a held base has no influence
                 amount, neutral = 0.25 * (known.high - known.low), known.neutral or 0.0
                 there = (values[edit.parameter] != neutral).any(0).expand(len(self.joints)).numpy()
                 for joint in np.flatnonzero(there).tolist() if known.per_joint else (None,):
@@ -294,7 +294,7 @@ class WindowResiduals:
         position_offset: Tensor | None = None,
         velocity_offset: Tensor | None = None,
     ) -> np.ndarray:
-        """Simulated minus measured, ``[candidate, window, tick, joint, channel]``; what diverged is far from it."""
+        """Simulated minus measured, ``[candidate, window, tick, joint, channel]``; large for diverged simulations."""
         model, whole = _within(model, self.joints), None
         for told, mine in self._setups(parameters or {}):
             given = _held_by(parameters or {}, told)
@@ -324,14 +324,14 @@ class WindowResiduals:
         return [(dict(zip(fields, key, strict=True)), at) for key, at in mine.items()]
 
     def by_window(self, values: np.ndarray, end: bool = False) -> np.ndarray:
-        """Values along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without their leads; if
-        asked with the tick at which a window ends."""
+        """Values along the motion of all windows, ``[row, ...]``, as ``[window, tick, ...]`` without the leads, and
+        optionally with the tick at which a window ends."""
         windows = values.reshape(len(self.windows), PREROLL + self.ticks + 1, *values.shape[1:])
         return windows[:, PREROLL : None if end else -1]
 
 
 def _held_by(parameters: Mapping[str, Tensor], told: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Parameters in a set-up: those whose condition holds replace the shared ones."""
+    """Parameters for a set-up, where values whose condition holds replace shared values."""
     split = {name: split_name(name) for name in parameters}
     shared = {name: value for name, value in parameters.items() if split[name][1] is None}
     holding = {name: base for name, (base, condition) in split.items() if condition and condition.holds(told)}
@@ -349,7 +349,7 @@ def _within(model: RobotModel, joints: Sequence[str]) -> RobotModel:
 
 
 def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int, int]]:
-    """Evenly spread starts (log, tick) of windows that do not overlap while there is room, at smooth places."""
+    """Evenly spaced starts (log, tick) of windows at smooth states, without overlap if there is room."""
     half = half_width(logs[0].period) if logs else 0
     lead, tail = max(PREROLL, half), ticks + half + 1
     room = np.array([max(0, len(log.time) - lead - tail) for log in logs])
@@ -368,7 +368,7 @@ def _choose(logs: Sequence[SmoothLog], count: int, ticks: int) -> list[tuple[int
 
 
 def _begins(logs: Sequence[SmoothLog]) -> dict[int, float]:
-    """Start of each log after the first one [s], by its `id`; zero for all if a log has no date."""
+    """Start time of each log relative to the first [s], by `id`; zero for all if a log has no date."""
     dates = [log.log.metadata.date for log in logs]
     stamps = [0.0 if None in dates else datetime.fromisoformat(str(date)).timestamp() for date in dates]
     return {id(log): stamp - min(stamps) for log, stamp in zip(logs, stamps, strict=True)}

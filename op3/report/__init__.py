@@ -1,4 +1,4 @@
-"""Figures, tables, one HTML page per run (`templates/`), ``result.yaml``, and wandb; it computes no results."""
+"""Figures, tables, one HTML page per run (`templates/`), ``result.yaml``, and wandb; no results are computed here."""
 
 from op3.report.page import Page
 from op3.report.provenance import machine, run_provenance

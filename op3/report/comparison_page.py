@@ -1,4 +1,4 @@
-"""One page for several runs of one experiment: results, by the settings in which they differ."""
+"""One page for several runs of an experiment, with results by the settings that differ."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,13 +23,13 @@ HIGHER = ("evaluation.", "probability")
 """Measures of which higher values are better."""
 
 MOST = 8
-"""Numbers that are compared if runs have none of these."""
+"""Numbers compared if runs have none of the measures above."""
 
 FOUND = ("parameters.", "normalised.")
 """Prefixes of the keys of identified parameters."""
 
 _STORES = ("hydra.sweep", "hydra.sweeper.storage", "hydra.sweeper.study_name", "hydra.run", "population")
-"""Overrides that only say where a run stores things."""
+"""Overrides that only set where a run stores its files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +45,11 @@ def read_runs(folder: str | Path) -> list[ComparedRun]:
     """All finished runs directly in a folder, by name.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if the folder contains no finished run.
     """
     cells = [path.parent for path in Path(folder).glob("*/result.yaml")]
     if not cells:
-        raise ValueError(f"{folder} holds no run with a result.yaml; name the folder of a multirun")
+        raise ValueError(f"{folder} contains no run with a result.yaml; give the folder of a multirun")
     cells.sort(key=lambda cell: (not cell.name.isdigit(), int(cell.name) if cell.name.isdigit() else 0, cell.name))
     return [ComparedRun(cell.name, _settings(cell), read_result(cell / "result.yaml")) for cell in cells]
 
@@ -70,7 +70,7 @@ def varied(runs: Sequence[ComparedRun]) -> list[str]:
 
 
 def variants(runs: Sequence[ComparedRun]) -> dict[str, list[ComparedRun]]:
-    """The runs by what they differ in but the seed."""
+    """The runs grouped by all differing settings except the seed."""
     keys, found = [key for key in varied(runs) if key != "seed"], {}
     for run in runs:
         name = ", ".join(f"{key}={run.settings.get(key, 'default')}" for key in keys)
@@ -79,7 +79,7 @@ def variants(runs: Sequence[ComparedRun]) -> dict[str, list[ComparedRun]]:
 
 
 def quantities(runs: Sequence[ComparedRun]) -> dict[str, str]:
-    """Compared numbers with their columns: known ones of these runs, else the first ones."""
+    """Compared numbers with their columns: known measures of these runs, otherwise the first numbers."""
     has = dict.fromkeys(key for run in runs for key, value in run.numbers.items() if isinstance(value, int | float))
     known = {key: title for key, title in QUANTITIES.items() if key in has}
     return known if set(known) - {"wall_seconds"} else {key: words(key.replace(".", " ")) for key in list(has)[:MOST]}
@@ -88,7 +88,7 @@ def quantities(runs: Sequence[ComparedRun]) -> dict[str, str]:
 def write_comparison(runs: Sequence[ComparedRun], folder: str | Path) -> tuple[Path, Path]:
     """Write page and numbers of a comparison of at least one run into a folder; returns their paths.
 
-    Runs that differ in nothing but the seed are one variant: means and standard deviations are taken over them.
+    Runs that differ only in the seed form one variant, for which means and standard deviations are computed.
     """
     folder, groups, columns = Path(folder), variants(runs), quantities(runs)
     entries = [_entry(name, members, columns) for name, members in groups.items()]
@@ -151,7 +151,7 @@ def _tables(
 
 
 def _remark(runs: Sequence[ComparedRun], parameter: str) -> str:
-    """In how many runs the search ended at an end of a parameter's range."""
+    """Text with the number of runs whose search ended at a bound of a parameter's range."""
     ended = sum(parameter in (run.numbers.get("identifiability.at_bound") or ()) for run in runs)
     return f"at its bound in {ended} of {len(runs)} runs" if ended else ""
 
@@ -159,7 +159,7 @@ def _remark(runs: Sequence[ComparedRun], parameter: str) -> str:
 def _runs_figure(
     runs: Sequence[ComparedRun], columns: Mapping[str, str], entries: Sequence[Mapping[str, Any]]
 ) -> go.Figure | None:
-    """Every run by the first two numbers compared; None of a single number."""
+    """Every run plotted by the first two compared numbers; None if there is only one."""
     if len(columns) < 2:
         return None
     (x, x_title), (y, y_title) = list(columns.items())[1::-1]
@@ -173,7 +173,7 @@ def _runs_figure(
 
 
 def _places_figure(entries: Sequence[Mapping[str, Any]]) -> go.Figure | None:
-    """Re-identified parameters in their ranges; None of other runs."""
+    """Re-identified parameters within their ranges; None for other runs."""
     places = [name for name in _found(entries) if name.startswith("normalised.reidentified.")]
     bars, spreads = (
         {e["variant"]: {n.split(".", 2)[2]: e[n][part] or 0.0 for n in places if e.get(n)} for e in entries}

@@ -1,4 +1,4 @@
-"""The page of how soft policies are: gains, joints, landings, pushes, pulls and heat, side by side."""
+"""The page on the compliance of policies: gains, joints, landings, pushes, guidance by hand and heat, side by side."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,7 +23,7 @@ LANDING = ("force", "acceleration", "speed", "height")
 def report_compliance(
     measured: Sequence[Measured], differences: Mapping[str, Difference], standing: Mapping[str, Energy], run: RunFolder
 ) -> dict[str, Any]:
-    """Publish measurements of policies, the first of which is compared with the others; `standing` is for an hour."""
+    """Publish measurements of policies and compare the first policy with the others; `standing` is for an hour."""
     first, known = measured[0], {each.label: each.gains for each in measured if each.gains is not None}
     energies = {each.label: each.energy for each in measured} | {f"{n}, standing": e for n, e in standing.items()}
     currents = {label: dict(zip(e.joints, e.current.tolist(), strict=True)) for label, e in energies.items()}
@@ -97,7 +97,7 @@ def _walk(passed: Any) -> tuple[str, str, float]:
 
 
 def _gain_tables(known: Mapping[str, Gains]) -> dict[str, TableRows]:
-    """Gains of the first policy by joint, and of all by situation."""
+    """Gains of the first policy by joint, and of all policies by situation."""
     gains, rows = next(iter(known.values())), []
     for row, joint in enumerate(gains.joints):
         stiff = [float(gains.by_situation[n][row, 0] * gains.stiffness[row]) for n in ("support", "swing")]
@@ -157,7 +157,7 @@ def _key(label: str) -> str:
 
 
 def _finite(values: Any) -> list[float | None] | None:
-    """Numbers with None for those that are not known."""
+    """Numbers, with None for unknown values."""
     return None if values is None else [finite(value) for value in values]
 
 

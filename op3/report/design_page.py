@@ -19,7 +19,7 @@ def report_design(
     run: RunFolder,
     wall_seconds: float,
 ) -> dict[str, Any]:
-    """Publish a plan that was chosen from candidates; `left_out` has the reason for each motion without a judgement."""
+    """Publish a plan that was chosen from candidates; `left_out` states why motions could not be evaluated."""
     last, seconds = steps[-1], [step.seconds for step in steps]
     values = {
         "plan": [{"motion": step.name, "mount": step.mount, "seconds": step.seconds} for step in steps],
@@ -35,7 +35,7 @@ def report_design(
     places = [list(steps[0].widths).index(name) for name in wanted]
     tables = {
         "plan": (
-            ["step", "motion", "mount", "robot time up to here [s]"],
+            ["step", "motion", "mount", "cumulative robot time [s]"],
             [[i, words(s.name), s.mount, s.seconds] for i, s in enumerate(steps, start=1)],
         ),
         "candidates": (

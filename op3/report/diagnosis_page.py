@@ -1,4 +1,4 @@
-"""The page of a diagnosis: before and after, the findings, every joint, and whether the base can be trusted."""
+"""The page of a diagnosis: errors before and after, findings, every joint, and reliability of the baseline fit."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -28,7 +28,7 @@ COLOURS = dict(zip((*SHOWN_STAGES, "repeats"), (PALETTE[3], PALETTE[1], PALETTE[
 
 
 def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, Any], run: RunFolder) -> dict[str, Any]:
-    """Publish a diagnosis of logs, and keep what `op3 view` shows; `content` is that of ``verdict.yaml``."""
+    """Publish a diagnosis of logs, and store the data for `op3 view`; `content` is the content of ``verdict.yaml``."""
     found, elsewhere = content["findings"], content.get("other_mounts", {})
     values: dict[str, Any] = {
         "verdict": content["verdict"],
@@ -61,14 +61,14 @@ def report_diagnosis(verdict: Verdict, split: LogSplit, content: Mapping[str, An
 
 
 def _flat(prefix: str, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Gap and loss under one name each."""
+    """Gap and loss, flattened to one name per number."""
     ends = ("before", "after", "floor", "closure")
     gap = {f"{prefix}gap.{key}.{end}": entry.get(end) for key, entry in content["gap"].items() for end in ends}
     return gap | {f"{prefix}loss.paper_eq7.{end}": content["loss"][end] for end in ends[:2] if content["loss"]}
 
 
 def _windows(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Errors in windows of held-out runs under one name each."""
+    """Errors in windows of held-out runs, flattened to one name per number."""
     windows = content.get("windows") or {"whole": {}, "joints": {}, "horizons": {}}
     parts = {"windows": windows["whole"], "horizons": windows["horizons"]}
     parts |= {f"windows.{joint}": channels for joint, channels in windows["joints"].items()}
@@ -77,7 +77,7 @@ def _windows(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _worst(verdict: Verdict) -> dict[str, Any] | None:
-    """Predictions by stage of the run that the baseline predicts worst; None where none went to its end."""
+    """Predictions of the three models for the run that the baseline predicts worst; None if no simulation finished."""
     shown = {label: verdict.shown.get(key) or () for label, key in SHOWN_STAGES.items()}
     shown = {label: predictions for label, predictions in shown.items() if predictions}
     runs = [dict(zip(shown, run, strict=True)) for run in zip(*shown.values(), strict=True)]
@@ -92,7 +92,7 @@ def _errors(prediction: Prediction) -> np.ndarray:
 
 
 def _joints_figure(windows: WindowGaps) -> go.Figure:
-    """The error of every joint's angle in three stages, on one scale."""
+    """The angle error of every joint under the three models, on one scale."""
     bars = {
         label: {joint: 1e3 * getattr(of["position"], stage) for joint, of in windows.joints.items()}
         for label, stage in zip(SHOWN_STAGES, STAGES, strict=True)
@@ -104,7 +104,7 @@ def _joints_figure(windows: WindowGaps) -> go.Figure:
 
 
 def _residuals_figure(predictions: Mapping[str, Prediction], joint: str) -> go.Figure:
-    """Simulated less measured angle and current of a joint."""
+    """Simulated minus measured angle and current of a joint."""
     grid = []
     for key, unit, scale in ((("joint", "position"), "mrad", 1e3), (("joint", "current"), "A", 1.0)):
         lines = []
@@ -121,7 +121,7 @@ def _residuals_figure(predictions: Mapping[str, Prediction], joint: str) -> go.F
 
 
 def _coloured(figure: go.Figure) -> go.Figure:
-    """A figure in which every stage has the colour that it has in all others."""
+    """A figure in which every model has the same colour as in all other figures."""
 
     def colour(trace: Any) -> None:
         if trace.name in COLOURS:
@@ -207,7 +207,7 @@ def _tables(verdict: Verdict, split: LogSplit, content: Mapping[str, Any]) -> di
 
 
 def _ended(model: RobotModel, known: Parameter) -> bool:
-    """Whether the fit of a parameter ended where its range does, so that the logs did not give its value."""
+    """Whether the fit of a parameter ended at a bound, so that the logs do not determine its value."""
     fitted = model.estimates.get(known.name)
     return fitted is not None and fitted.low is not None and at_bound(place_in_range(known, fitted.value))
 
@@ -219,7 +219,7 @@ def _with_interval(values: Mapping[str, Any], end: str) -> str | None:
 
 
 def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
-    """Errors in windows by joint, over all joints, and by horizon."""
+    """Errors in windows, by joint, over all joints, and by horizon."""
     if windows is None:
         return {}
     ends = [*SHOWN_STAGES, "repeats", "given model [%]", "returned model [%]"]
@@ -243,7 +243,7 @@ def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
 
 
 def _motions(verdict: Verdict, split: LogSplit) -> TableRows:
-    """The gap in angle of a bench by motion and by firmware gain, where the runs differ in them."""
+    """The angle gap of a bench by motion and by firmware gain, if the runs differ in these."""
     rows: list[list[Any]] = []
     if verdict.shown and split.show[0].metadata.mount == "pendulum":
         for of in (lambda log: log.metadata.motion, lambda log: log.metadata.firmware_gain):

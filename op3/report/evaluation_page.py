@@ -47,7 +47,8 @@ def report_evaluation(
 ) -> dict[str, Any]:
     """Publish an evaluation; the first log is drawn.
 
-    `returns` has R_eval of every episode by label, the policy's first. `profile` is of the joint's gait, if it walks.
+    `returns` has R_eval of every episode by label, beginning with the policy's. `profile` is the joint's gait profile,
+    for a walking policy.
     """
     robot = logs[0].robot
     outer = [leg[place] for place in (-2, -1) for leg in robot.legs] or list(robot.arm[-2:])

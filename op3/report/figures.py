@@ -1,4 +1,4 @@
-"""Figures of an identification: how the loss fell, and where the parameters lie."""
+"""Figures of an identification: decrease of the loss, and parameters within their ranges."""
 
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
@@ -16,10 +16,10 @@ from op3.servo.conditions import split_name
 def history_figure(
     trials: Mapping[str, Sequence[float | None]], refined: Mapping[str, Sequence[float]] | None = None
 ) -> go.Figure:
-    """The best loss so far over trials, and beside it the loss over the rounds and iterations that followed them.
+    """The best loss so far over trials and, beside it, the loss over the following rounds and iterations.
 
     Args:
-        trials: loss of every trial by label, in order; None or NaN where the simulation failed.
+        trials: loss of every trial by label, in order; None or NaN if the simulation failed.
         refined: loss after every round and iteration, by label.
     """
     best: dict[str, tuple] = {}
@@ -42,12 +42,12 @@ def ranges_figure(
 ) -> go.Figure:
     """Parameters within their ranges: value, 90 % interval, start of the search, and the labels side by side.
 
-    All ranges (paper Table I) have the same length. Values of single joints are open circles. A model whose effects do
-    not have a parameter has no marker there.
+    All ranges (paper Table I) are drawn with the same length. Values of single joints are open circles. A model without
+    a parameter has no marker for it.
 
     Args:
-        bounds: ranges to draw, by name, where they are not the catalogue's.
-        starts: values that the search started from, by name, where they are not the catalogue's.
+        bounds: drawn ranges by name, if they differ from the catalogue's.
+        starts: initial values of the search by name, if they differ from the catalogue's.
     """
     known = bounded_parameters(models.values(), bounds, starts)
     figure, colour = go.Figure(), colours(list(models))

@@ -1,10 +1,10 @@
 """Pictures of a robot's states, drawn in a separate process.
 
-OpenGL drivers print, hang on to a display, and abort the process where one is missing: without a screen, MuJoCo's
-renderer ends it at the second attempt. This must not end a run of hours.
+OpenGL drivers print messages, need a display, and abort the process without one: without a screen, MuJoCo's renderer
+ends the process at the second attempt. This must not end a run of several hours.
 """
 
-# Run as a script this file draws; so it imports nothing of this package.
+# This file is also the script that draws, so it imports nothing from this package.
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
 
@@ -33,11 +33,11 @@ LONGEST = 300.0
 
 
 class RenderError(RuntimeError):
-    """Nothing can be drawn here; the message says why and what to do."""
+    """Rendering is not possible on this machine; the message states the reason and the remedy."""
 
 
 def backends() -> tuple[str, ...]:
-    """Values of ``MUJOCO_GL`` to try: the one that is set, else those that fit the machine."""
+    """Values of ``MUJOCO_GL`` to try: the environment's value, otherwise all that suit the machine."""
     chosen = os.environ.get("MUJOCO_GL", "")
     if chosen:
         return (chosen,)
@@ -58,16 +58,16 @@ def draw_frames(
     """Draw states of a compiled scene, as pictures ``[frame, height, width, 3]``.
 
     Args:
-        qpos: ``[frame, nq]``; with overlays ``[robot, frame, nq]``, the first one solid.
-        follow: whether the camera goes with the trunk of a robot that is free.
+        qpos: ``[frame, nq]``; with overlays ``[robot, frame, nq]``, where the first robot is solid.
+        follow: whether the camera follows the trunk of a free robot.
         size: height and width [pixel].
         overlays: colour of each robot after the first.
 
     Raises:
-        RenderError: if no driver draws.
+        RenderError: if no driver can render.
     """
     if not shapes(model):
-        raise RenderError("the links of the robot have no shapes, which a picture could show")
+        raise RenderError("no link of the robot has a visible shape; add geoms or meshes to its model")
     robots, said = np.asarray(qpos, dtype=np.float64), []
     with tempfile.TemporaryDirectory(prefix="op3-frames-") as folder:
         place = Path(folder)
@@ -81,19 +81,19 @@ def draw_frames(
             said.append(reason)
     raise RenderError(
         f"MuJoCo cannot render here with {' or '.join(name or 'its default' for name in backends())} ({said[0]});"
-        " install EGL (Debian: libegl1, libgl1), or set MUJOCO_GL to what the machine has"
+        " install EGL (Debian: libegl1, libgl1), or set MUJOCO_GL to an available backend"
     )
 
 
 def _attempt(place: Path, backend: str) -> str | None:
-    """Why this backend could not draw; None if it has drawn."""
+    """The reason why this backend could not render; None on success."""
     # -P: the modules beside this file must not hide those of the standard library
     command = [sys.executable, "-P", str(Path(__file__).resolve()), str(place)]
     environment = {**os.environ, **({"MUJOCO_GL": backend} if backend else {})}
     try:
         done = subprocess.run(command, env=environment, capture_output=True, timeout=LONGEST, errors="replace")
     except subprocess.TimeoutExpired:
-        return f"it did not end within {LONGEST:g} s"
+        return f"it did not finish within {LONGEST:g} s"
     if done.returncode == 0:
         return None
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
@@ -107,7 +107,7 @@ def shapes(model: mujoco.MjModel) -> list[int]:
 
 
 def camera_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjvCamera:
-    """A camera that has what moves in view, as it stands now."""
+    """A camera with all moving bodies in view, for the current state."""
     camera = mujoco.MjvCamera()
     camera.azimuth, camera.elevation = 140.0, -12.0
     geoms = shapes(model)
@@ -119,9 +119,9 @@ def camera_of(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjvCamera:
 
 
 def add_overlay(model: mujoco.MjModel, data: mujoco.MjData, scene: mujoco.MjvScene, colour: Colour) -> None:
-    """Add what moves to a scene once more, of this colour and translucent, a little behind where it is.
+    """Add translucent copies of the moving geoms to a scene in this colour, slightly behind the originals.
 
-    So an overlay that agrees with the solid robot hides in it, and only where they differ it is seen.
+    An overlay is therefore only visible where it differs from the solid robot.
     """
     first, camera = scene.ngeom, scene.camera[0]
     everything = (mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_DYNAMIC)
@@ -133,7 +133,7 @@ def add_overlay(model: mujoco.MjModel, data: mujoco.MjData, scene: mujoco.MjvSce
 
 
 def _draw(place: Path) -> None:
-    """Draw what `draw_frames` has written into a folder."""
+    """Draw the frames that `draw_frames` has described in a folder."""
     model, asked = mujoco.MjModel.from_binary_path(str(place / "model.mjb")), np.load(place / "asked.npz")
     solid, *others = asked["qpos"]
     data, overlay = mujoco.MjData(model), mujoco.MjData(model)
@@ -142,7 +142,7 @@ def _draw(place: Path) -> None:
     camera = camera_of(model, data)
     begin = np.array(camera.lookat)
     free = bool(asked["follow"]) and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
-    # shadows and MuJoCo's multisampling take a processor ten times as long as all the rest
+    # on a processor, shadows and multisampling take ten times as long as everything else
     model.vis.quality.offsamples = 0
     frames = np.empty((len(solid), *asked["size"], 3), np.uint8)
     with mujoco.Renderer(model, *map(int, asked["size"])) as renderer:

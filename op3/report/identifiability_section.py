@@ -20,14 +20,14 @@ def verdicts(known: Identifiability) -> dict[str, list[str]]:
 
 
 def widths_table(known: Identifiability) -> TableRows:
-    """Width of every parameter's interval, and what it is called for it."""
+    """Width of every parameter's interval, and the resulting verdict."""
     says = {name: verdict for verdict, names in verdicts(known).items() for name in names}
     rows = [[words(name), 100 * known.widths[name], says[name]] for name in known.names]
     return ["parameter", "width of the interval [% of the range]", "verdict"], rows
 
 
 def identifiability_figure(known: Identifiability) -> go.Figure:
-    """Uncertainty of each combination, named by its strongest parameters, beside the correlation of the estimates."""
+    """Uncertainty of each combination, labelled by its strongest parameters, and the correlation of the estimates."""
     figure = make_subplots(rows=1, cols=2, column_widths=[0.45, 0.55], horizontal_spacing=0.26)
     deviation = 1.0 / np.maximum(known.singular_values, 1e-6)
     labels, places = [_label(known, row) for row in range(len(deviation))], list(range(len(deviation)))

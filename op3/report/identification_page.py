@@ -27,13 +27,13 @@ def report_identification(
     ablated_seconds: float = 0.0,
     joints: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Publish an identified model, beside one without some effects where that was asked for.
+    """Publish an identified model and, if requested, a model without some effects.
 
     Args:
-        ablated: the same without some effects, for comparison.
+        ablated: identified model without some effects, for comparison.
         wall_seconds: duration of the identification [s].
-        ablated_seconds: duration of that for comparison [s].
-        joints: joints to draw; all of a log where empty.
+        ablated_seconds: duration of the comparison's identification [s].
+        joints: joints to draw; empty: all joints of a log.
     """
     trials = np.asarray(fit.trials, dtype=float)
     values = {
@@ -82,7 +82,7 @@ def _numbers(fit: Fit, seconds: float) -> dict[str, Any]:
 
 
 def abstained(fit: Fit) -> str:
-    """Which parameters the logs do not determine, and how to plan recordings that do, in sentences."""
+    """Sentences about parameters that are not identifiable from the logs, and about planning recordings for them."""
     if fit.identifiability is None:
         return ""
     sorted_names = verdicts(fit.identifiability)
@@ -126,7 +126,7 @@ def _bench(fits: Sequence[Fit]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _robot(fits: Sequence[Fit], joints: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
-    """Figures of all logs fitted and of the first one held out, and what each is called."""
+    """Figures of all fitted logs and of the first held-out log, with their titles."""
     shown = [("Fitted", {f.label: f.fit.predictions[i] for f in fits}) for i in range(len(fits[0].fit.predictions))]
     if fits[0].heldout is not None:
         shown.append(("Held out", {f.label: f.heldout.predictions[0] for f in fits if f.heldout}))

@@ -1,4 +1,4 @@
-"""A log while it is recorded, part by part, with a model's simulation of the same commands as an overlay."""
+"""Reads a log in parts while it is recorded, with a model's simulation of the same commands as an overlay."""
 
 import time
 from collections.abc import Iterator
@@ -19,23 +19,23 @@ from op3.servo import RobotModel
 from op3.sim import model_for
 
 STRETCH, REACH = 1.0, 10.0
-"""Time shown at once, and how long before its end the overlay starts, at rest in the robot's pose [s].
+"""Duration of a displayed part, and time before its end at which the overlay starts at rest in the robot's pose [s].
 
-For a standing robot it starts with the time shown: open-loop commands do not keep it upright for long.
+For a standing robot the overlay starts with the displayed part, because it soon falls with open-loop commands.
 """
 
 PATIENCE = (120.0, 6.0)
-"""Time without a first row, and without a further row, after which following ends [s]."""
+"""Waiting time for the first row and for further rows, after which following ends [s]."""
 
 
 class Growing:
-    """A log that may still grow: then rows from `REACH` before what was shown are kept, and none is read twice.
+    """A log that may still grow. It keeps rows from `REACH` before the displayed part and reads no row twice.
 
     Args:
-        folder: of the log, with its metadata.
+        folder: folder of the log, with its metadata.
 
     Attributes:
-        shown: until when [s] it was; minus infinity where nothing was.
+        shown: end of the displayed part [s]; minus infinity before the first.
     """
 
     def __init__(self, folder: Path):
@@ -59,11 +59,11 @@ class Growing:
 
 
 def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks | None]:
-    """Stretches of the logs in a folder as they grow, one log after the other; None while there is nothing new.
+    """Parts of the growing logs in a folder, one log after the other; None while there is nothing new.
 
     Args:
-        folder: a log, or the folder of a run with some, which share a clock; it may not be there yet.
-        model: of the overlay; the robot's own where None.
+        folder: a log, or the folder of a run with several logs on one clock; it need not exist yet.
+        model: model of the overlay; None: the robot's model.
     """
     known: dict[Path, Growing] = {}
     seen, last = False, time.monotonic()
@@ -78,11 +78,11 @@ def stretches(folder: Path, model: RobotModel | str | None) -> Iterator[Tracks |
 
 
 def _unseen(folder: Path, known: dict[Path, Growing]) -> tuple[Rollout, float, float] | None:
-    """A log with begin and end [s] of what of it is shown next, and so counts as shown; None: it must grow first."""
+    """A log with begin and end [s] of its next displayed part, marked as displayed; None if it must grow first."""
     logs = []
     for place in folder.rglob(METADATA_FILE):
         one = known.setdefault(place.parent, Growing(place.parent))
-        with suppress(LogError, OSError):  # it is being closed at this moment
+        with suppress(LogError, OSError):  # the log is being closed
             if (log := one.now()) is not None:
                 logs.append((log.array("time")[0, 0], one, log))
     ordered = sorted(logs, key=itemgetter(0))
@@ -104,13 +104,13 @@ def _tracks(log: Rollout, begin: float, end: float, model: RobotModel | str | No
     try:
         known = model if isinstance(model, RobotModel) else model_for(log.robot, model)
         logs["simulated"] = predicted(Replay([recent], num_threads=1).run(known)[0]).between(begin, after)
-    except ValueError:  # commands of this kind do not tell the whole run
+    except ValueError:  # such commands do not determine the run
         pass
     return Tracks(logs, scene)
 
 
 def summary_line(tracks: Tracks) -> str:
-    """A stretch in a line: its time, the joint that differs most, and how far all of them are apart."""
+    """A part as one line: time, the joint with the largest difference, and the mean difference of all joints."""
     measured, *overlays = tracks.logs.values()
     joint, seconds = tracks.joint(), float(measured.array("time")[-1, 0])
     column = measured.joints.index(joint)
@@ -120,4 +120,4 @@ def summary_line(tracks: Tracks) -> str:
         return line
     rows = min(measured.rows, overlays[0].rows)
     apart = np.abs(np.subtract(*(log.array("joint/position")[:rows] for log in (measured, overlays[0])))).mean()
-    return f"{line}, simulated {angles[1]:.1f} deg; all joints {1e3 * apart:.1f} mrad apart"
+    return f"{line}, simulated {angles[1]:.1f} deg; mean difference of all joints {1e3 * apart:.1f} mrad"

@@ -19,7 +19,7 @@ from op3.report.style import DARK
 from op3.report.tables import Cell, TableRows, ends, in_thousandths, number, span
 
 LIBRARY = "plotly.min.js"
-"""Draws the figures; it lies beside the pages of a folder, or above those of a multirun's numbered folders."""
+"""JavaScript library that draws the figures, stored beside the pages or in the folder of a multirun."""
 
 
 MOST_KEY_NUMBERS = 5
@@ -27,22 +27,22 @@ MOST_KEY_NUMBERS = 5
 
 
 class Page:
-    """A page made of prose, written once; it loads nothing from elsewhere and works offline.
+    """A page generated from prose; it loads nothing from the network.
 
-    Prose is blocks with blank lines between them. The first block is ``# the title`` with the lead, the outcome, on the
-    lines after it; the lead's first sentence, the verdict, is set large. Others are a paragraph, ``## a heading``,
-    ``[[code]]`` and lines after it, or lines of ``[[tile name | value | unit | note]]`` (the row of key numbers under
-    the verdict), ``[[figure name | caption]]``, ``[[table name | caption | digits]]``, ``[[film path | caption]]`` and
-    ``[[file path | what is in it]]``. Figures and tables that are not there, or have no rows, are left out.
+    Prose consists of blocks separated by blank lines. The first block is ``# the title`` followed by lines with the
+    lead, whose first sentence, the verdict, is set large. Other blocks are a paragraph, ``## a heading``, ``[[code]]``
+    and lines after it, or lines of ``[[tile name | value | unit | note]]`` (the row of key numbers under the verdict),
+    ``[[figure name | caption]]``, ``[[table name | caption | digits]]``, ``[[film path | caption]]`` and ``[[file path
+    | what is in it]]``. Missing figures and tables without rows are omitted.
 
     All text is escaped. Text between backticks is set as code.
 
     Args:
-        prose: what the page says.
-        figures: by name; None for a figure that a log has no data for.
-        tables: header with units and rows by name; a cell of None shows as a dash, and columns without cells are left
-            out. Digits are significant ones of numbers that are not integers, 4 where the prose gives none.
-        template: that the prose was made from.
+        prose: text of the page.
+        figures: figures by name; None for a figure without data.
+        tables: header with units, and rows, by name; None is shown as a dash, and empty columns are omitted. Digits are
+            the significant digits of non-integers, by default 4.
+        template: template that generated the prose.
     """
 
     def __init__(
@@ -81,13 +81,13 @@ class Page:
         tables: Mapping[str, TableRows] | None = None,
         **context: Any,
     ) -> Self:
-        """The page whose prose is ``<template>.md`` in ``templates/``, Jinja's, which speaks of the context."""
+        """The page with prose from the Jinja template ``<template>.md`` in ``templates/`` and the context."""
         context |= {"figures": figures or {}, "tables": tables or {}}
         prose = PROSE_TEMPLATES.get_template(f"{template}.md").render(context)
         return cls(prose, figures, tables, template)
 
     def _direct(self, line: str, figures: Mapping[str, go.Figure | None], tables: Mapping[str, TableRows]) -> None:
-        """Do what one line of prose in double brackets asks for."""
+        """Insert the element that one line of prose in double brackets requests."""
         found = re.fullmatch(r"\[\[(tile|figure|table|film|file) (.*)\]\]", " ".join(line.split()))
         assert found, line
         kind, (name, *more) = found[1], [part.strip() for part in found[2].split("|")]
@@ -111,11 +111,11 @@ class Page:
         # `<` inside the data must not end the script element
         self._figures.append(Markup(str(figure.to_json()).replace("<", "\\u003c")))
         margin, columns = figure.layout.margin, len({axis.domain for axis in figure.select_xaxes()})
-        width = max(320, 280 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens move it sideways
+        width = max(320, 280 * columns) + (margin.l or 0) + (margin.r or 0)  # narrower screens scroll it sideways
         self._add("figure", caption, height=int(figure.layout.height or 420), width=width)
 
     def _table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], caption: str, digits: int) -> None:
-        """A table that the reader can sort, without its empty columns; numbers align at the decimal point."""
+        """A sortable table without empty columns, with numbers aligned at the decimal point."""
         filled = [column for column in zip(header, *rows, strict=True) if set(column[1:]) - {None, ""}]
         columns = [_column(name, cells, digits) for name, *cells in filled]
         cells = zip(*(column["cells"] for column in columns), strict=True)
@@ -127,12 +127,12 @@ class Page:
 
     @property
     def headline(self) -> str:
-        """The outcome in words, as it stands under the title."""
+        """The lead under the title, which states the result."""
         return f"{self._verdict} {self._detail}".strip()
 
     @property
     def key_numbers(self) -> list[str]:
-        """The tiles as lines of text: name, value, unit, and what to compare it with; five at most."""
+        """At most five tiles as lines of text: name, value, unit, and reference for comparison."""
         lines = [
             f"{t['name']}: {t['value']} {t['unit']}".rstrip() + f" ({t['note']})" * bool(t["note"]) for t in self._tiles
         ]
@@ -148,7 +148,7 @@ class Page:
         )  # fmt: skip
 
     def write(self, path: str | Path) -> Path:
-        """Write the page; the file appears whole or not at all."""
+        """Write the page atomically."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         numbered = path.resolve().parent.name.isdecimal()
@@ -181,14 +181,14 @@ def _is_number(cell: object) -> bool:
 
 
 def _text(cell: Cell, digits: int = 3) -> str:
-    """A cell as it is read."""
+    """The text of a cell."""
     if cell is None or isinstance(cell, bool):
         return {None: "–", True: "yes", False: "no"}[cell]
     return number(cell, digits) if isinstance(cell, int | float) else cell
 
 
 def _column(name: str, cells: Sequence[Cell], digits: int) -> dict[str, Any]:
-    """A column; numbers, and gaps among them, end with room for the digits that others have more."""
+    """The cells of a column; numbers and gaps are padded to align their digits."""
     numeric = any(map(_is_number, cells)) and all(cell is None or _is_number(cell) for cell in cells)
     texts = [_text(cell, digits) for cell in cells]
     if numeric:
@@ -215,7 +215,7 @@ def _line(value: Any) -> str:
 _OPTIONS: dict[str, Any] = dict(
     loader=jinja2.PackageLoader("op3.report"), trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
 )
-# its text is escaped when the page is written; what a template includes ends with a blank line
+# text is escaped when the page is written; included templates end with a blank line
 PROSE_TEMPLATES = jinja2.Environment(keep_trailing_newline=True, **_OPTIONS)
 PROSE_TEMPLATES.filters |= {
     "number": _text, "words": words, "span": span, "ends": ends, "unit": lambda unit: in_thousandths(None, unit)[1],

@@ -1,4 +1,4 @@
-"""A grid of small panels over one time axis, the form of all figures that show traces."""
+"""A grid of small panels over one time axis, used for all figures with traces."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from op3.report.style import COMMAND, INK, MEASURED, MUTED, colours, dress, plain
 
 MOST_POINTS = 1000
-"""Points per trace. Longer traces keep the smallest and largest value of each stretch, so that peaks survive."""
+"""Points per trace. Longer traces keep the smallest and largest value of each interval, which preserves peaks."""
 
 _TOP, _BOTTOM, _GAP, _TITLE = 48, 48, 22, 18
 
@@ -24,11 +24,11 @@ class Panel:
     """One plot of the grid.
 
     Attributes:
-        axis: what is plotted, with its unit.
+        axis: plotted quantity with its unit.
         lines: traces; labels repeat from panel to panel and share a colour and a legend entry.
-        name: what the whole row is about, or the panel where `titled`.
-        least_span: the y axis shows at least this much, so that noise about a constant stays small.
-        titled: whether the name stands above the panel instead of beside its axis.
+        name: title of the row, or of the panel if `titled`.
+        least_span: smallest range of the y axis, so that noise about a constant appears small.
+        titled: whether the name is above the panel instead of beside its axis.
     """
 
     axis: str
@@ -39,7 +39,7 @@ class Panel:
 
 
 def thin(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """At most about `most` points of a trace ``[time]``, the extremes of every stretch among them; NaN leaves a gap."""
+    """At most about `most` points of a trace ``[time]``, including the extremes of every interval; NaN leaves a gap."""
     if len(time) <= most:
         return time, values
     keep = [0, len(time) - 1]
@@ -52,7 +52,7 @@ def thin(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple
 
 
 def panels_figure(grid: Sequence[Sequence[Panel]], row_height: int = 126) -> go.Figure:
-    """Draw rows of panels that zoom together in time, each row's plots so many pixels high."""
+    """Draw rows of panels, each with this height in pixels, that zoom together in time."""
     rows, columns = len(grid), max(map(len, grid))
     panels = [panel for row in grid for panel in row]
     title = _TITLE if any(panel.titled for panel in panels) else 0
@@ -71,7 +71,7 @@ def panels_figure(grid: Sequence[Sequence[Panel]], row_height: int = 126) -> go.
         last = i + 1 == rows or j >= len(grid[i + 1])
         figure.update_xaxes(showticklabels=last, title_text="time [s]" if last else "", **place)
     for label in sorted(labels, key=lambda label: (label == COMMAND, label != MEASURED, labels.index(label))):
-        # an entry of its own, in reading order, because the traces are ordered by depth
+        # separate legend entries in reading order, because traces are ordered by depth
         figure.add_scatter(x=[None], y=[None], name=plain(label), legendgroup=label, mode="lines", line=looks[label])
     for axis in list(figure.select_xaxes())[1:]:
         axis.matches = "x"
@@ -84,12 +84,12 @@ def _looks(labels: Sequence[str]) -> Mapping[str, dict[str, Any]]:
     """Line styles by label: black for measured, dotted grey for commands, colours for the others."""
     coloured = colours([label for label in labels if label not in (MEASURED, COMMAND)])
     looks: dict[str, dict[str, Any]] = {label: dict(color=colour, width=1.5) for label, colour in coloured.items()}
-    # the measured trace lies beneath, so it is the wider one
+    # the measured trace is below the others and therefore wider
     return looks | {MEASURED: dict(color=INK, width=2.0), COMMAND: dict(color=MUTED, width=1.2, dash="dot")}
 
 
 def _draw(figure: go.Figure, panel: Panel, place: dict[str, Any], looks: Mapping[str, dict[str, Any]]) -> None:
-    # the first label is the page's subject and lies on top; commands and measurements lie beneath
+    # the first label, the page's subject, is on top; commands and measurements are below
     beneath = [line for line in panel.lines if line[0] in (COMMAND, MEASURED)]
     above = [line for line in panel.lines if line[0] not in (COMMAND, MEASURED)]
     for label, seconds, known in (*beneath, *reversed(above)):
@@ -107,7 +107,7 @@ def _draw(figure: go.Figure, panel: Panel, place: dict[str, Any], looks: Mapping
 
 
 def _abscissa(time: np.ndarray) -> dict[str, Any]:
-    """Times as start and step where they are even, which halves the page."""
+    """Evenly spaced times as start and step, which halves the size of the page."""
     steps = np.diff(time)
     if len(steps) and np.allclose(steps, steps.mean(), rtol=1e-4, atol=0):
         return dict(x0=float(time[0]), dx=float(steps.mean()))
@@ -115,7 +115,7 @@ def _abscissa(time: np.ndarray) -> dict[str, Any]:
 
 
 def _range(panel: Panel) -> list[float] | None:
-    """The panel's y range where its data span less than `least_span`; None leaves it to the data."""
+    """The panel's y range if its data span less than `least_span`; otherwise None."""
     values = np.concatenate([known[np.isfinite(known)] for *_, known in panel.lines])
     if not values.size or np.ptp(values) >= panel.least_span:
         return None

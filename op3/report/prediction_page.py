@@ -1,4 +1,4 @@
-"""The page and numbers of how well a model predicts logs."""
+"""The page and numbers of a model's prediction errors on logs."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +16,7 @@ from op3.rollout.schema import normal_key
 def report_prediction(
     score: PredictionScore, run: RunFolder, *, model: str, wall_seconds: float, joints: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Publish how well the model of this name predicts; `joints` are drawn, all of a log where empty."""
+    """Publish the prediction errors of the named model; `joints` are drawn, or all joints of a log if empty."""
     values = {
         "error_mrad": score.error_mrad,
         "loss.paper_eq7": score.paper_eq7,
@@ -65,7 +65,7 @@ def _tables(score: PredictionScore) -> dict[str, TableRows]:
 
 
 def _figures(score: PredictionScore, model: str, joints: Sequence[str]) -> tuple[str | None, dict[str, Any]]:
-    """The worst log of the robot with the heading of its figures; some runs of the bench."""
+    """The worst log of a robot with the heading of its figures, or some runs of a bench."""
     errors = [entry.error_mrad for entry in score.logs]
     good = [i for i, error in enumerate(errors) if error is not None]
     if not good:

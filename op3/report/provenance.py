@@ -19,10 +19,9 @@ PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "hydra-cor
 
 
 def run_provenance(*, seed: int | None = None, data: str | Sequence[str] | None = None) -> dict[str, Any]:
-    """Everything about a run that its numbers do not say, as plain data for page and result.
+    """Provenance of a run as plain data for the page and the result.
 
-    No path appears but those that the caller or the command line gave; seed and names of the logs used are left out
-    where None.
+    Only paths from the caller or the command line appear; seed and log names are omitted if None.
     """
     commit, changed = git_hash(), git_changes()
     facts: dict[str, Any] = {"command": command_line(), "git_hash": commit or "unknown"}
@@ -44,7 +43,7 @@ def machine() -> dict[str, Any]:
 
 
 def command_line() -> str:
-    """The command as one could type it again, the script relative to where one stands."""
+    """The command as a user would type it, with the script's path relative to the current folder."""
     script = Path(sys.argv[0] or "-")
     if script.is_absolute():
         here = Path.cwd()

@@ -24,7 +24,7 @@ ACTUAL = "actual"
 def report_reidentification(
     found: Reidentified, study: optuna.Study, run: RunFolder, *, wall_seconds: float, simulated_seconds: float
 ) -> dict[str, Any]:
-    """Publish what a finished study found, with its duration and the time simulated [s]."""
+    """Publish the result of a finished study, with its duration and the simulated time [s]."""
     values = {
         **_objectives("excitation_only", found.start, found.fresh_start),
         **_objectives("reidentified", found.chosen, found.fresh_chosen),
@@ -45,7 +45,7 @@ def report_reidentification(
         "wall_seconds": wall_seconds,
         "simulated_seconds": simulated_seconds,
     }
-    models = {  # in this order they have the colours of the other figures
+    models = {  # this order gives the same colours as in the other figures
         label: RobotModel(found.model.effects).with_values(dict(one.values))
         for label, one in ((FOUND, found.chosen), (found.start_name, found.start))
     }
@@ -75,7 +75,7 @@ def _ratio(after: float, before: float) -> float | None:
 
 
 def _places(one: ParetoPoint) -> dict[str, float]:
-    """Where each parameter lies in its range of the catalogue."""
+    """Position of each parameter in the catalogue's range."""
     return {name: place_in_range(parameter(name), value) for name, value in one.values.items()}
 
 

@@ -1,4 +1,4 @@
-"""The same for rerun: robots in 3D and plots of all joints on one timeline; needs the extra ``view``."""
+"""Recordings for rerun: robots in 3D and plots of all joints on one timeline; needs the extra ``view``."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false, reportMissingImports=false
@@ -14,7 +14,7 @@ from op3.report.viewer import RATE, lines_of, overlay_colours
 
 
 def record(tracks: Tracks, path: Path | None) -> Path | None:
-    """Write a recording, or open rerun with it where the path is None.
+    """Write a recording, or open it in rerun if the path is None.
 
     Raises:
         ValueError: if rerun is not installed.
@@ -44,7 +44,7 @@ def record(tracks: Tracks, path: Path | None) -> Path | None:
 
 
 def _robot(rr: Any, stream: Any, model: mujoco.MjModel, name: str, colour: Any, states: np.ndarray) -> None:
-    """Bodies that move over time, and what they look like once."""
+    """Log the motion of bodies over time, and their shapes once."""
     data = mujoco.MjData(model)
     places = np.empty((len(states), model.nbody, 3))
     turns = np.empty((len(states), model.nbody, 4))
@@ -69,7 +69,7 @@ def _robot(rr: Any, stream: Any, model: mujoco.MjModel, name: str, colour: Any, 
 
 
 def _shape(rr: Any, model: mujoco.MjModel, geom: int, look: list[int]) -> Any:
-    """A geom as rerun draws it."""
+    """A geom in rerun's format."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]

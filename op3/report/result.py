@@ -1,4 +1,4 @@
-"""``result.yaml``: the numbers of a run, flat, documented, and finite."""
+"""``result.yaml``: the numbers of a run as a flat, documented list of finite values."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,21 +18,21 @@ from op3.servo import Estimate, catalogue
 
 HEADER = """\
 # The numbers of one run. Keys are dotted paths; units are SI unless a key names another.
-# null: there is no such number, for example without held-out logs.
+# null: the number does not exist, for example without held-out logs.
 """
 
 
 def write_result(path: str | Path, values: Mapping[str, Any], meanings: Mapping[str, str] | None = None) -> Path:
-    """Write results; the file appears whole or not at all.
+    """Write results atomically.
 
     Args:
-        path: of the file, usually ``result.yaml`` in the run's folder.
+        path: path of the file, usually ``result.yaml`` in the run's folder.
         values: numbers, texts, None, lists of them, nested mappings or dotted keys. A mapping with ``value`` (and
             ``low``, ``high``) and an `Estimate` stay one entry.
-        meanings: what further first parts of keys stand for, written as comments.
+        meanings: meanings of further first parts of keys, written as comments.
 
     Raises:
-        ValueError: if a number is not finite or a value is no plain data; names the key.
+        ValueError: if a number is not finite or a value is not plain data; the message names the key.
     """
     path = Path(path)
     known = {**NAMES["meanings"]["every"], **(meanings or {})}
@@ -57,14 +57,14 @@ def read_result(path: str | Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run's folder, where its numbers come from, and how it is logged to wandb.
+    """A run's folder with its provenance and its logging to wandb.
 
     Attributes:
-        provenance: see `op3.report.run_provenance`; it stands on the page and in ``result.yaml``.
+        provenance: provenance of the run, see `op3.report.run_provenance`.
         config: settings, for wandb.
-        wandb: how the run is logged.
-        used: kind (``log``, ``model``, ``policy``) and path, pattern or list of paths of what the run read.
-        made: the same of what it wrote.
+        wandb: settings of the logging.
+        used: inputs of the run: kind (``log``, ``model``, ``policy``) and path, pattern or list of paths.
+        made: outputs of the run, as for `used`.
     """
 
     path: Path
@@ -84,8 +84,8 @@ def publish(
     """Write ``index.html`` and ``result.yaml``, and log the numbers to wandb.
 
     Args:
-        values: of ``result.yaml``; the page's headline, its key numbers and the provenance are added.
-        curve: numbers by step and name, for wandb; those that are not finite are left out.
+        values: values of ``result.yaml``; the page's headline, key numbers and provenance are added.
+        curve: numbers by step and name, for wandb; non-finite numbers are omitted.
 
     Returns:
         The values.
@@ -107,7 +107,7 @@ def publish(
 
 
 def finite(value: float) -> float | None:
-    """A number of ``result.yaml``; None in place of what a simulation that diverged leaves."""
+    """A number of ``result.yaml``; None for the result of a diverged simulation."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -125,7 +125,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _plain(key: str, value: Any) -> Any:
-    """Numbers of numpy and torch as Python's own; refuses what YAML readers would not understand."""
+    """Numbers of numpy and torch as Python numbers; raises an error for values that YAML readers cannot load."""
     if isinstance(value, Mapping):
         return {str(name): _plain(f"{key}.{name}", item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -138,7 +138,7 @@ def _plain(key: str, value: Any) -> Any:
         return scrub(value)
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise ValueError(f"result {key} is {value}: write a finite number, or None where there is none")
+            raise ValueError(f"result {key} is {value}: write a finite number, or None")
         return value
     raise ValueError(f"result {key} is a {type(value).__name__}: write numbers, texts, None or lists of them")
 

@@ -1,4 +1,4 @@
-"""A robot by its file and its model: a table of joints, the used parts of the model, and a picture."""
+"""Describes a robot: a table of joints, the used parts of its model, and a picture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from op3.scenes.scene import build_scene
 
 
 def robot_table(robot: Robot) -> str:
-    """Joints with servo, bus id, limits and home, joints without a servo, and what became of parts of the model."""
+    """Joints with servo, bus id, limits and home, joints without a servo, and how parts of the model are used."""
     rows = [("joint", "servo", "bus id", "limits [rad]", "home [rad]")]
     for name, make, (low, high), home in zip(robot.joints, robot.servos, robot.limits, robot.home, strict=True):
         rows.append((name, make.name, str(robot.bus_ids[name]), f"{low:.2f} to {high:.2f}", f"{home:.2f}"))
@@ -26,10 +26,10 @@ def robot_table(robot: Robot) -> str:
 
 
 def draw_robot(robot: Robot, path: Path) -> Path:
-    """A picture of the robot at home on the stand, as PNG; a `RenderError` where nothing can draw.
+    """A PNG of the robot in its home pose on the stand; raises `RenderError` if rendering is not possible.
 
     Raises:
-        ValueError: if the path is not that of a PNG.
+        ValueError: if the path does not end in .png.
     """
     if path.suffix != ".png":
         raise ValueError(f"out={path}: give a name that ends in .png")

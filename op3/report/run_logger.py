@@ -1,4 +1,4 @@
-"""A thin wrapper of wandb: offline, quiet and without an account unless asked otherwise."""
+"""A thin wrapper of wandb, by default offline, quiet and without an account."""
 
 import glob
 import hashlib
@@ -12,10 +12,10 @@ from op3.common.wandb_settings import WandbSettings
 
 
 def sweep_group(folder: str | Path) -> str:
-    """The group of a run by its folder.
+    """The wandb group of a run, derived from its folder.
 
     Jobs of a Hydra multirun are numbered folders inside the sweep's, whose name (with the day's folder above it)
-    is the group; any other folder is a group of its own.
+    is the group; any other folder is a separate group.
     """
     folder = Path(folder).resolve()
     sweep = folder.parent if folder.name.isdecimal() else folder
@@ -23,7 +23,7 @@ def sweep_group(folder: str | Path) -> str:
 
 
 def files_of(where: Any) -> list[Path]:
-    """Files that a path, a pattern, a folder or a list of them names; hidden ones are left out."""
+    """Files in a path, a pattern, a folder or a list of these; hidden files are omitted."""
     if isinstance(where, list | tuple):
         return [file for one in where for file in files_of(one)]
     found = [Path(path) for path in sorted(glob.glob(str(where)))]
@@ -32,7 +32,7 @@ def files_of(where: Any) -> list[Path]:
 
 
 def artifact_name(kind: str, files: Sequence[Path]) -> str:
-    """Kind and what the files hold, whatever they are called: equal content gives equal names."""
+    """Artifact name from the kind and the content of files: equal content gives equal names."""
     digest = hashlib.sha256(b"".join(sorted(hashlib.sha256(file.read_bytes()).digest() for file in files)))
     return f"{kind}-{digest.hexdigest()[:12]}"
 
@@ -41,11 +41,11 @@ class RunLogger:
     """Logs one run to wandb, as a context manager.
 
     By default the run is written to ``<folder>/wandb`` and nothing leaves the machine; ``wandb sync`` uploads it
-    later. Runs of one sweep are a group, and each is named as its folder unless the settings name it.
+    later. Runs of one sweep form a group. A run's name is that of its folder unless the settings name it.
 
     Args:
         config: plain settings of the run.
-        wandb: mode, project, entity, tags and name; by default offline, or as WANDB_MODE says.
+        wandb: mode, project, entity, tags and name; by default offline, or set by WANDB_MODE.
     """
 
     def __init__(
@@ -85,18 +85,18 @@ class RunLogger:
         self._run.log({name: self._wandb.Video(str(path))})
 
     def summary(self, values: Mapping[str, Any]) -> None:
-        """Set the numbers that stand for the whole run in wandb's tables."""
+        """Set the summary numbers of the run in wandb's tables."""
         self._run.summary.update(dict(values))
 
     def lineage(self, used: Sequence[tuple[str, Any]], made: Sequence[tuple[str, Any]]) -> None:
-        """Record artifacts: what a run read, and what it made of it.
+        """Record the input and output artifacts of a run.
 
-        An artifact is named by its content, so that what one run made and another read is the same one, offline too.
-        Offline wandb takes no inputs: there the run's config and what it made name them.
+        Artifacts are named by their content, so that the output of one run and the input of another are the same
+        artifact, even offline. Offline wandb accepts no inputs, so the run's config and its outputs name them.
 
         Args:
             used: kind and path, pattern or list of paths.
-            made: the same.
+            made: outputs, as for `used`.
         """
         inputs = [(kind, files) for kind, where in used if (files := files_of(where))]
         names = [artifact_name(*each) for each in inputs]
@@ -110,7 +110,7 @@ class RunLogger:
     def _artifact(self, kind: str, files: Sequence[Path], metadata: Mapping[str, Any] | None = None) -> Any:
         artifact = self._wandb.Artifact(artifact_name(kind, files), kind, metadata=dict(metadata or {}))
         above = Path(os.path.commonpath([file.parent for file in files]))
-        for file in files:  # not copied: they stay in the run's folder
+        for file in files:  # the files remain in the run's folder
             artifact.add_file(str(file), str(file.relative_to(above)), policy="immutable", skip_cache=True)
         return artifact
 

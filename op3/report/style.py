@@ -34,11 +34,11 @@ MEASURED = "measured"
 COMMAND = "command"
 
 NAMES = yaml.safe_load((Path(__file__).parent / "templates" / "names.yaml").read_text(encoding="utf-8"))
-"""Names on pages and in results, by kind; the file explains each."""
+"""Names on pages and in results, by kind; the file documents them."""
 
 
 def colours(labels: Sequence[str]) -> dict[str, str]:
-    """One colour per label, by order; they repeat after six."""
+    """One colour per label, in order; colours repeat after six."""
     return {label: PALETTE[i % len(PALETTE)] for i, label in enumerate(labels)}
 
 
@@ -48,7 +48,7 @@ def unit_text(unit: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Text for a figure, where plotly would otherwise read ``<`` as the start of a tag."""
+    """Text for a figure, escaped because plotly reads ``<`` as the start of a tag."""
     return text.replace("<", "&lt;")
 
 
@@ -58,14 +58,14 @@ def faded(colour: str, alpha: float) -> str:
 
 
 def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
-    """Give a figure the shared fonts, grid, legend on top and this height [pixels]."""
+    """Apply the shared fonts and grid, a legend on top and this height [pixels] to a figure."""
     axis = dict(
         showgrid=True, gridcolor=GRID, zeroline=False, linecolor=FRAME, showline=True, ticks="outside", ticklen=3,
         tickcolor=FRAME, tickfont=dict(size=11, color=MUTED), title=dict(font=dict(size=12, color=INK), standoff=6),
     )  # fmt: skip
     figure.update_layout(
         height=height,
-        # a template reaches all axes at once; a figure of many panels would take seconds to go through them
+        # a template changes all axes at once; changing them one by one takes seconds in a figure of many panels
         template=go.layout.Template(layout=dict(xaxis=axis, yaxis=axis)),
         font=dict(family=FONT, size=12, color=INK),
         paper_bgcolor="rgba(0,0,0,0)",
@@ -82,29 +82,29 @@ def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
 
 
 def shade(figure: go.Figure, phases: Any, count: int, **more: Any) -> None:
-    """Shade phases of a gait, of so many in a cycle, behind the curves."""
+    """Shade gait phases behind the curves, given the number of phases in a cycle."""
     for phase in phases:
         ends = dict(x0=phase - 0.5 / count, x1=phase + 0.5 / count)
         figure.add_vrect(**ends, fillcolor=SHADE, line_width=0, layer="below", **more)
 
 
 Curves = Mapping[str, tuple]
-"""Abscissae, ordinates and perhaps lower and upper ends of a band, ``[point]`` each, by label."""
+"""Abscissae, ordinates and optionally lower and upper ends of a band, ``[point]`` each, by label."""
 
 
 def grid_figure(
     panels: Mapping[str, Curves], x: str, height: int, columns: int = 1, mode: str = "lines", **layout: Any
 ) -> go.Figure:
-    """Panels of labelled curves over one abscissa; a label has one colour and one entry of the legend in all of them.
+    """Panels of labelled curves over one abscissa; each label has one colour and one legend entry for all panels.
 
     Args:
-        panels: curves by the title of their ordinate with its unit; or, where that is one for all, by title of the
-            panel: see ``y``.
+        panels: curves by ordinate title with unit or, if all panels share the ordinate ``y``, by panel title.
         x: title of the abscissa with its unit.
-        height: of the figure [pixel].
-        columns: panels side by side.
+        height: height of the figure [pixel].
+        columns: number of panels side by side.
         mode: ``lines``, ``markers`` or both.
-        layout: further settings of plotly; ``y``, title of the one ordinate, and ``shape`` of lines, ``hv`` for steps.
+        layout: further settings of plotly; also ``y``, title of the shared ordinate, and ``shape`` of lines (``hv`` for
+            steps).
     """
     y, shape = layout.pop("y", None), layout.pop("shape", "linear")
     rows, one, titled = -(-len(panels) // columns), y is not None, y is not None and len(panels) > 1
@@ -137,7 +137,7 @@ def grid_figure(
 
 
 def _band(figure: go.Figure, x: Any, low: Any, high: Any, colour: str, **more: Any) -> None:
-    """Fill what lies between two curves ``[point]``, where both are known."""
+    """Fill the area between two curves ``[point]`` where both have values."""
     x, low, high = np.stack([x, low, high])[:, np.isfinite(low) & np.isfinite(high)]
     figure.add_scatter(
         x=[*x, *x[::-1]], y=[*low, *high[::-1]], fill="toself", fillcolor=faded(colour, 0.18), mode="lines",
@@ -146,7 +146,7 @@ def _band(figure: go.Figure, x: Any, low: Any, high: Any, colour: str, **more: A
 
 
 def curves_figure(curves: Curves, x: str, y: str, height: int = 360, mode: str = "lines", **layout: Any) -> go.Figure:
-    """Labelled curves over one pair of axes; arguments as of `grid_figure`."""
+    """Labelled curves over one pair of axes; arguments as in `grid_figure`."""
     return grid_figure({y: curves}, x, height, 1, mode, **layout)
 
 
@@ -159,7 +159,7 @@ def spread(middle: Any, low: Any, high: Any) -> dict[str, Any]:
 
 
 def boxes_figure(boxes: Mapping[str, Mapping[str, Sequence[float]]], y: str, height: int = 380) -> go.Figure:
-    """Single values and their quartiles: by label, a colour each, then by place on the abscissa."""
+    """Single values and their quartiles, by label (one colour each), then by position on the abscissa."""
     figure, colour = go.Figure(), colours(list(boxes))
     for label, places in boxes.items():
         figure.add_box(
@@ -173,12 +173,12 @@ def boxes_figure(boxes: Mapping[str, Mapping[str, Sequence[float]]], y: str, hei
 def bars_figure(
     bars: Mapping[str, Mapping[str, float]], y: str, spreads: Mapping[str, Mapping[str, float]] | None = None
 ) -> go.Figure:
-    """Bars side by side: by label, a colour each, then by what stands on the abscissa.
+    """Bars side by side, by label (one colour each), then by category on the abscissa.
 
     Args:
-        bars: heights.
+        bars: heights of the bars.
         y: title of the ordinate with its unit.
-        spreads: half lengths of error bars, by the same labels.
+        spreads: half lengths of the error bars, by the same labels.
     """
     figure, colour = go.Figure(), colours(list(bars))
     for label, values in bars.items():

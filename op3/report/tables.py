@@ -1,4 +1,4 @@
-"""Tables as plain headers and rows, and how numbers are written."""
+"""Tables as plain headers and rows, and formatting of numbers."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,13 +15,13 @@ from op3.servo.conditions import split_name
 
 Cell = str | int | float | bool | None
 TableRows = tuple[Sequence[str], Sequence[Sequence[Cell]]]
-"""Header and rows, as `Page.table` takes them."""
+"""Header and rows, as for `Page.table`."""
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number with so many significant digits, a true minus sign, and a power of ten only where it must be.
+    """A number with this many significant digits, a true minus sign, and a power of ten only if necessary.
 
-    Integers are written whole, and numbers that fewer digits say exactly (a range's 0.25) with no more.
+    Integers are written with all digits, and numbers such as 0.25 with no more digits than they need.
     """
     if abs(value) < 1e-15:
         text = "0"
@@ -30,7 +30,7 @@ def number(value: float, digits: int = 4) -> str:
     elif not math.isfinite(value):
         text = str(value)
     elif 1e-4 <= abs(value) < 1e6:
-        # the power of ten is that of the rounded number: 9.9996 has one digit more before the point once rounded
+        # uses the power of ten of the rounded number: 9.9996 has one more digit before the point after rounding
         power = int(f"{value:.{digits - 1}e}".split("e")[1])
         text = f"{value:.{max(0, digits - 1 - power)}f}"
         short = text.rstrip("0").rstrip(".") if "." in text else text
@@ -41,7 +41,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def span(value: Any, digits: int = 3) -> str | None:
-    """A value with its interval, given as an `Estimate` or as three numbers; None where there is no value."""
+    """A value with its interval, given as an `Estimate` or as three numbers; None without a value."""
     middle = value.value if hasattr(value, "value") else None if value is None else value[0]
     if middle is None or not math.isfinite(middle):
         return None
@@ -49,7 +49,7 @@ def span(value: Any, digits: int = 3) -> str | None:
 
 
 def ends(value: Any, before: str = "", after: str = "", digits: int = 3) -> str:
-    """The interval of an `Estimate`, or the last two of some numbers, in words; nothing where there is none."""
+    """The interval of an `Estimate`, or of the last two numbers, as text; empty if there is none."""
     low, high = _interval(value)
     if low is None or high is None:
         return ""
@@ -64,7 +64,7 @@ def _interval(value: Any) -> tuple[float | None, float | None]:
 
 
 def _within(value: float, low: float | None, high: float | None, digits: int) -> str:
-    """A number with at most one digit more than the width of its interval."""
+    """A number with at most one more digit than the width of its interval."""
     if low is None or high is None or not low < high:
         return number(value, digits)
     decimals = 1 - math.floor(math.log10(high - low))
@@ -74,7 +74,7 @@ def _within(value: float, low: float | None, high: float | None, digits: int) ->
 
 
 def in_thousandths(value: float | None, unit: str) -> tuple[float | None, str]:
-    """A value and its unit, in mrad, mA or mN m where the unit is rad, A or N m."""
+    """A value and its unit; rad, A and N m are converted to mrad, mA and mN m."""
     if unit not in ("rad", "A", "N m"):
         return value, unit
     return None if value is None else 1e3 * value, f"m{unit}"
@@ -87,7 +87,7 @@ Bounds = Mapping[str, tuple[float, float]]
 def bounded_parameters(
     models: Iterable[RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
 ) -> dict[str, Parameter]:
-    """The parameters of all models by name, with ranges and starts of a search where they are not the catalogue's."""
+    """The parameters of all models by name, with ranges and initial values that differ from the catalogue's."""
     known = {name: p for model in models for name, p in model.parameters().items()}
     for name, (low, high) in (bounds or {}).items():
         if (base := split_name(name)[0]) in known:
@@ -98,20 +98,20 @@ def bounded_parameters(
 
 
 def place_in_range(known: Parameter, value: float) -> float:
-    """Where a value lies in a parameter's range: 0 at the lower end, 1 at the upper one."""
+    """Position of a value in a parameter's range: 0 at the lower end, 1 at the upper end."""
     return (value - known.low) / (known.high - known.low)
 
 
 def parameter_table(
     models: Mapping[str, RobotModel], bounds: Bounds | None = None, starts: Mapping[str, float] | None = None
 ) -> TableRows:
-    """Parameters with unit, range and start of the search, and per model the value with its 90 % interval.
+    """Parameters with unit, range, initial value, and the value with its 90 % interval for each model.
 
-    What was searched and ended at an end of its range is marked: that is not a value that the data gave.
+    Searched parameters that ended at a bound are marked, because the data do not determine them.
 
     Args:
-        bounds: ranges to list, by name, where they are not the catalogue's.
-        starts: values that the search started from, by name, where they are not the catalogue's.
+        bounds: listed ranges by name, if they differ from the catalogue's.
+        starts: initial values of the search by name, if they differ from the catalogue's.
     """
     known = bounded_parameters(models.values(), bounds, starts)
     intervals = {label: any(e.low is not None for e in model.estimates.values()) for label, model in models.items()}
@@ -138,12 +138,12 @@ def parameter_table(
 
 
 def loss_table(terms: Mapping[str, Mapping[str, Mapping[Any, float]]], total: str | None = None) -> TableRows:
-    """Loss terms: a row per channel with its unit, a column per set of logs and label.
+    """Loss terms, with a row per channel and a column per set of logs and label.
 
     Args:
-        terms: by set of logs (``fit``, ``held out``), then label, then channel (``"joint/position"``). A channel
-            that a log does not have is absent; further entries, such as the loss itself, follow the channels.
-        total: name of the entry that stands last.
+        terms: loss terms by set of logs (``fit``, ``held out``), then label, then channel (``"joint/position"``). A
+            channel that a log does not have is absent; further entries, such as the loss itself, follow the channels.
+        total: name of the last entry.
     """
     columns = {
         f"{logs}, {label}": {key_name(key): value for key, value in by_key.items()}
@@ -156,7 +156,7 @@ def loss_table(terms: Mapping[str, Mapping[str, Mapping[Any, float]]], total: st
 
 
 def _channel(name: str) -> tuple[str, str]:
-    """A channel in words and the unit of its square."""
+    """The name of a channel as text, and the unit of its square."""
     channel = CHANNELS.get(normal_key(name))
     if channel is None:
         return name, ""

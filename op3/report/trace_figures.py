@@ -1,4 +1,4 @@
-"""Measured against simulated: joints, body and runs of the servo bench (paper, figure of the identification)."""
+"""Figures of measured and simulated traces: joints, body and servo-bench runs (paper, figure of the identification)."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -17,14 +17,14 @@ from op3.rollout.schema import key_name
 Channel = tuple[str, str]
 
 SHOWN_RUNS = 6
-"""Bench runs drawn on a page, the worst, the best and between."""
+"""Number of bench runs on a page, from the best to the worst."""
 
 JOINT_QUANTITIES: tuple[Channel, ...] = (("joint", "position"), ("joint", "velocity"), ("joint", "current"))
 
 MOVES, SWAYS = 0.01, 0.005
-"""Joints, and trunks, whose angles change by less have no panel [rad]."""
+"""Smallest change of angle for which a joint or trunk gets a panel [rad]."""
 
-# what is drawn in degrees, and how little a y axis may show, in the unit drawn
+# drawn unit of each channel, and smallest range of its y axis in this unit
 _DEGREES: set[Channel] = {("joint", "position"), ("command", "position"), ("imu", "orientation")}
 _LEAST_SPAN: dict[Channel, float] = {
     ("joint", "position"): 4.0,
@@ -41,15 +41,16 @@ def traces_figure(
     joints: Sequence[str] = (),
     quantities: Sequence[Channel] = JOINT_QUANTITIES,
 ) -> go.Figure:
-    """Measured and simulated traces: a row per joint that moves, right below left partner, and a column per quantity.
+    """Measured and simulated traces: one row per moving joint, each right joint below its left partner, and one column
+    per quantity.
 
-    Angles are drawn in degrees, with the command dotted. A quantity that the log does not have has no column; one
-    that a prediction does not have has no trace of it.
+    Angles are drawn in degrees, with the command dotted. Quantities that the log lacks have no column, and quantities
+    that a prediction lacks have no trace.
 
     Args:
-        log: what was measured, without an episode axis.
-        predictions: of one candidate by label; they may end before the log.
-        joints: joints to show; all of the log if empty.
+        log: measured log without an episode axis.
+        predictions: predictions of one candidate by label; they may end before the log.
+        joints: joints to show; empty: all joints of the log.
         quantities: channels of joints.
     """
     keys = [key for key in quantities if key in log]
@@ -79,7 +80,7 @@ def body_figure(log: Rollout, predictions: Mapping[str, Prediction]) -> go.Figur
 
 
 def runs_figure(logs: Sequence[Rollout], predictions: Mapping[str, Sequence[Prediction]]) -> go.Figure:
-    """The angle of the first joint in several logs, a panel per log, with predictions by label, one per log."""
+    """The angle of the first joint in several logs, with one panel per log and predictions by label."""
     panels = []
     for i, log in enumerate(logs):
         mine = {label: members[i] for label, members in predictions.items()}
@@ -93,12 +94,12 @@ def bench_figures(
     errors_mrad: Mapping[str, Sequence[float | None]],
     heldout: Sequence[bool],
 ) -> dict[str, go.Figure]:
-    """The error of every run of a servo bench, and traces of some, from the best to the worst of the first label.
+    """The error of every servo-bench run, and traces of some runs, from the best to the worst of the first label.
 
     Args:
-        predictions: by label, one per log.
-        errors_mrad: by label, mean absolute position error of each run [mrad]; None where the simulation failed.
-        heldout: whether each run was kept from the fit.
+        predictions: predictions by label, one per log.
+        errors_mrad: mean absolute position error of each run by label [mrad]; None if the simulation failed.
+        heldout: whether each run is held out.
     """
     first = next(iter(errors_mrad.values()))
     order = sorted((i for i, error in enumerate(first) if error is not None), key=lambda i: first[i] or 0.0)
@@ -116,14 +117,14 @@ def bench_figures(
 
 
 def checks_table(logs: Iterable[Rollout]) -> TableRows:
-    """Findings of the checks of logs, a row each."""
+    """Problems reported by the checks of logs, one row each."""
     found = [{"log": run_name(log), **finding.row()} for log in logs for finding in merge_findings(log.findings)]
     rows = list(dict.fromkeys(tuple(one.values()) for one in found))
     return (list(found[0]), rows) if found else ([], [])
 
 
 def run_name(log: Rollout) -> str:
-    """A log in a few words: motion, mass, length and gain of a bench log, else its recording's name."""
+    """A short title of a log: motion, mass, length and gain for a bench log, otherwise the recording's name."""
     known = log.metadata
     parts = [words(known.motion or known.recording or known.mount)]
     for value, text in ((known.mass, "{:g} kg"), (known.length, "{:g} m"), (known.firmware_gain, "kp {:g}")):
@@ -132,7 +133,7 @@ def run_name(log: Rollout) -> str:
 
 
 def _paired(joints: Sequence[str]) -> list[str]:
-    """The joints with the right ones straight after their left partners."""
+    """The joints, ordered so that each right joint follows its left partner."""
     order = list(dict.fromkeys(joint[2:] if joint[:2] in ("l_", "r_") else joint for joint in joints))
     return sorted(joints, key=lambda joint: (order.index(joint[2:] if joint[:2] in ("l_", "r_") else joint), joint))
 
@@ -156,7 +157,7 @@ def _panel(
 
 
 def _drawn(key: Channel, values: np.ndarray) -> np.ndarray:
-    """Values in the unit drawn; angles of the body without jumps of a full turn."""
+    """Values in the drawn unit; body angles have no jumps of a full turn."""
     if key == ("imu", "orientation"):
         finite = np.isfinite(values)
         values = np.where(finite, values, np.nan)

@@ -17,7 +17,7 @@ from op3.rollout import Rollout, read_log, stand_tilt
 from op3.scenes import Scene, build_bench, build_scene
 
 SHOWN = "shown"
-"""Folder of a diagnosis with the run that it shows: measured, before and after."""
+"""Subfolder of a diagnosis with the displayed run: measured, before and after."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,11 @@ class Tracks:
     """One run of one robot, measured and simulated.
 
     Attributes:
-        logs: by label; the first one is drawn solid, the others are its overlays.
-        scene: in which all of them are drawn.
-        known: states ``[frame, nq]`` of the first at `known_rate` [Hz], where they are known better than a log tells.
-        known_rate: of them.
+        logs: logs by label; the first is drawn solid, the others as overlays.
+        scene: scene in which all logs are drawn.
+        known: states ``[frame, nq]`` of the first log at `known_rate` [Hz], if they are known more precisely than from
+            a log.
+        known_rate: rate of the known states [Hz].
     """
 
     logs: Mapping[str, Rollout]
@@ -42,7 +43,7 @@ class Tracks:
         return next(iter(self.logs.values())).duration
 
     def states(self, rate: float) -> NDArray[np.float64]:
-        """``[robot, frame, nq]`` at so many frames per second [Hz]; who ends early stays where it ended."""
+        """States ``[robot, frame, nq]`` at this frame rate [Hz]; a shorter run stays in its last state."""
         frames = int(self.duration * rate) + 1
         found = [states_of_log(log, self.scene, rate) for log in self.logs.values()]
         if self.known is not None:
@@ -51,7 +52,7 @@ class Tracks:
         return np.stack([one[np.minimum(np.arange(frames), len(one) - 1)] for one in found])
 
     def joint(self) -> str:
-        """The joint in which the first overlay differs most; of a robot alone, the one that moves most."""
+        """The joint in which the first overlay differs most; without overlays, the joint that moves most."""
         first, *overlays = (log.array("joint/position") for log in self.logs.values())
         rows = min(len(first), *(len(overlay) for overlay in overlays)) if overlays else len(first)
         apart = first[:rows] - (overlays[0][:rows] if overlays else first.mean(0))
@@ -59,7 +60,7 @@ class Tracks:
 
 
 def scene_of(log: Rollout) -> Scene:
-    """The scene in which a log was recorded, with the log's robot, or as much of it as the log has."""
+    """The scene in which a log was recorded, with the log's robot or the part of it that the log contains."""
     known = log.metadata
     if known.mount == "pendulum":
         return build_bench(known.mass, known.length)
@@ -70,7 +71,7 @@ def scene_of(log: Rollout) -> Scene:
 
 
 def predicted(prediction: Prediction) -> Rollout:
-    """The only candidate of a prediction as a separate log."""
+    """A prediction with one parameter set as a separate log."""
     log = prediction.log
     channels: dict[Any, np.ndarray] = {key: values[0].numpy() for key, values in prediction.channels.items()}
     rows = min(len(values) for values in channels.values())

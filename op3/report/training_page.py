@@ -11,7 +11,7 @@ from op3.report.result import RunFolder, publish
 from op3.report.style import curves_figure, grid_figure
 
 History = Sequence[Mapping[str, float]]
-"""Entries with ``steps`` and measures by name, as `op3.train.Progress` keeps them."""
+"""Entries with ``steps`` and measures by name, as in `op3.train.Progress`."""
 
 STEPS = "environment steps [-]"
 
@@ -24,14 +24,14 @@ _PANELS = {
 
 
 def series(history: History, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and values [entry] of a measure, where the history has it."""
+    """Steps and values [entry] of a measure, for all entries that contain it."""
     pairs = [(entry["steps"], entry[name]) for entry in history if name in entry]
     steps, values = np.array(pairs, dtype=float).reshape(-1, 2).T
     return steps, values
 
 
 def learning_figure(history: History) -> go.Figure:
-    """Return, upright share, critics and policy over environment steps, a panel each."""
+    """Return, upright share, critics and policy over environment steps, in one panel each."""
     panels = {axis: {label: series(history, name) for label, name in lines.items()} for axis, lines in _PANELS.items()}
     figure = grid_figure(panels, STEPS, 560, columns=2, hovermode="x unified")
     figure.update_traces(mode="lines+markers", marker_size=5, selector={"name": "without exploration"})
@@ -39,7 +39,7 @@ def learning_figure(history: History) -> go.Figure:
 
 
 def reward_figure(history: History) -> go.Figure | None:
-    """Mean of each term of the reward while training; None where the environment names none."""
+    """Mean of each reward term during training; None if the environment has no named terms."""
     names = sorted({name for entry in history for name in entry if name.startswith("reward_terms/")})
     curves = {name.removeprefix("reward_terms/"): series(history, name) for name in ["reward", *names]}
     return curves_figure(curves, STEPS, "mean per step [-]", 320, hovermode="x unified") if names else None
@@ -54,7 +54,7 @@ def report_training(
     settings: Mapping[str, Any],
     files: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Publish a training; `numbers` of the final evaluation and the budget are for ``result.yaml``."""
+    """Publish a training run; `numbers` of the final evaluation and the budget are added to ``result.yaml``."""
     figures = {"learning": learning_figure(history), "reward": reward_figure(history)}
     tables = {"settings": (["setting", "value"], [[name, str(value)] for name, value in settings.items()])}
     page = Page.of("training", figures, tables, title=title, n=numbers, files=files)

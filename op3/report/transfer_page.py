@@ -32,15 +32,15 @@ def report_transfers(
     """Publish the page of a transfer.
 
     Args:
-        transfers: first attempt first.
-        run: where it is kept; links and videos are relative to it.
+        transfers: attempts in order.
+        run: folder of the run, to which links and videos are relative.
         asked: task, world, condition and budget.
         seconds: duration of every stage [s].
-        processor_seconds: time of all processors spent on every stage [s].
-        what: task and robot, in a sentence or two.
-        fit: what the identified models say of the log that they were fitted to, by label.
+        processor_seconds: processor time of every stage, summed over all processors [s].
+        what: one or two sentences about task and robot.
+        fit: predictions of the fitted log by the identified models, by label.
         learning: steps and mean returns of every training's evaluations, by label.
-        following: commands to go on with.
+        following: next commands.
     """
     values: dict[str, Any] = {
         "success": transfers[-1].success,
@@ -82,7 +82,7 @@ def report_transfers(
 
 
 def _fit(fit: Mapping[str, Prediction]) -> tuple[go.Figure, TableRows]:
-    """The two joints that moved most in what was fitted, measured and as the models say."""
+    """The two joints that moved most in the fitted log, measured and predicted."""
     log, rows = next(iter(fit.values())).log, []
     for label, one in fit.items():
         simulated = one.channels["joint", "position"][0].numpy()
@@ -107,7 +107,7 @@ def _table(transfers: Sequence[Transfer]) -> TableRows:
 
 
 def _films(folder: Path, transfers: Sequence[Transfer]) -> list[tuple[str, str]]:
-    """The first transfer and the last, in simulation and on the robot: path and caption."""
+    """Videos of the first and the last transfer, in simulation and on the robot: path and caption."""
     films = []
     for i in sorted({0, len(transfers) - 1}):
         one = transfers[i]

@@ -1,4 +1,4 @@
-"""How often policies transfer, by what they were trained on: the paper's tables III and IV with intervals."""
+"""Success rates of transfers by training method: the paper's tables III and IV with intervals."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,16 +19,16 @@ PAGE, NUMBERS = "transfers.html", "transfers.yaml"
 PAPER = NAMES["paper"]
 
 CONTROL = "retrained"
-"""Condition with a second training but without new information, with which others are compared."""
+"""Control condition for comparison: a second training without new information."""
 
 
 def read_cells(folder: str | Path) -> list[Transferred]:
-    """All runs of sim2real.py directly in a folder that are finished, by name."""
+    """All finished runs of sim2real directly in a folder, by name."""
     return [read_result(path) for path in sorted(Path(folder).glob("*/result.yaml"))]
 
 
 def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]:
-    """Write page and numbers of at least one finished run; what could not be run is listed from the folder too."""
+    """Write page and numbers of at least one finished run, and list the cells of the folder that could not run."""
     values: dict[str, Any] = {}
     figures, tables = {}, {}
     for task in sorted({cell["task"] for cell in cells}):
@@ -65,7 +65,7 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
     rows = [[*(cell[name] for name in columns), *(last_transfer(cell, k) for k in last)] for cell in cells]
     tables["cells"] = ([*columns.values(), *last.values()], rows)
     failed = {path.parent.name: path.read_text(encoding="utf-8").strip() for path in sorted(folder.glob(f"*/{FAILED}"))}
-    tables["failed"] = (["cell", "why it could not be run"], list(failed.items()))
+    tables["failed"] = (["cell", "reason why it could not run"], list(failed.items()))
     page, provenance = Page.of("transfers", figures, tables, cells=cells, tasks=list(values)), run_provenance()
     page.provenance(provenance)
     result = write_result(folder / NUMBERS, {**values, "failed": failed, "provenance": provenance})
@@ -73,7 +73,7 @@ def write_table(cells: Sequence[Transferred], folder: Path) -> tuple[Path, Path]
 
 
 def _conditions(cells: Sequence[Transferred]) -> list[str]:
-    """Conditions in the paper's order, then ours."""
+    """The paper's conditions in its order, followed by all others."""
     there = list(dict.fromkeys(cell["condition"] for cell in cells))
     return [*(name for name in PAPER["balance"] if name in there), *(n for n in there if n not in PAPER["balance"])]
 
@@ -94,7 +94,7 @@ def _row(cells: Sequence[Transferred], worlds: Sequence[str], rates: Mapping[str
 
 
 def _range(values: Sequence[float] | None, factor: float = 1.0) -> str:
-    """A mean with its interval, which a single robot does not give."""
+    """A mean with its interval; a single robot has no interval."""
     if values is None:
         return "–"
     mean, *ends = (f"{factor * value:.3g}" for value in values)

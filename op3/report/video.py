@@ -26,14 +26,14 @@ def film(
     say: Callable[[str], None] = print,
     follow: bool = True,
 ) -> Path | None:
-    """Draw states ``[frame, nq]`` at a rate [Hz] and write them, see `write_film`; None where MuJoCo cannot render.
+    """Draw states ``[frame, nq]`` at a rate [Hz] and write them, see `write_film`; None if MuJoCo cannot render.
 
     Args:
-        scene: in which the robot is; it is recompiled, because simulations leave out what only pictures show.
-        qpos: the first three numbers are the trunk's place.
+        scene: scene with the robot, which is recompiled because simulations omit purely visual elements.
+        qpos: states, whose first three numbers are the position of the trunk.
         rate: frames per second [Hz].
-        say: takes the reason where nothing can be drawn.
-        follow: whether the camera goes with the trunk.
+        say: function that receives the reason if rendering is not possible.
+        follow: whether the camera follows the trunk.
     """
     try:
         return write_film(draw_frames(scene.compile(), qpos, follow=follow), path, rate)
@@ -43,12 +43,12 @@ def film(
 
 
 def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float, quality: int = 40) -> Path:
-    """Write pictures ``[height, width, 3]`` of even size; the file appears whole or not at all.
+    """Write pictures ``[height, width, 3]`` of even size to a file, atomically.
 
     Args:
-        path: ``.mp4`` (H.264), or ``.webp``, which a document shows as it shows pictures.
+        path: ``.mp4`` (H.264), or ``.webp``, which documents display like an image.
         rate: pictures per second [Hz].
-        quality: of WebP, 0 to 100.
+        quality: quality of WebP, 0 to 100.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ def write_film(pictures: Iterable[np.ndarray], path: str | Path, rate: float, qu
 
 def _write_mp4(pictures: Iterable[np.ndarray], path: Path, rate: Fraction) -> None:
     try:
-        import av  # half a second that other uses need not pay
+        import av  # imported here because it takes half a second
     except ImportError:
         raise RenderError("an mp4 needs the package av: pip install 'op3[video]', or write a .webp") from None
 
@@ -80,17 +80,17 @@ def _write_mp4(pictures: Iterable[np.ndarray], path: Path, rate: Fraction) -> No
 
 
 TILTED = np.radians(12.0)
-"""No board of a task tilts further [rad]."""
+"""Largest tilt of a board in any task [rad]."""
 
 
 def states_of_log(log: Rollout, scene: Scene, rate: float) -> np.ndarray:
     """A robot's states from its encoders and IMU, for `film`.
 
-    A log does not know where a robot on its feet is: it is put such that the middle of its soles stays where it began,
-    and a board lies under them as they do. Good for looking at, not for measuring.
+    A log does not contain the position of a standing robot. The robot is placed so that the centre of its soles does
+    not move, and a board is placed parallel to the soles. This is for viewing, not for measurement.
 
     Args:
-        log: of one episode on the robot; joints that it lacks are drawn at home.
+        log: log of one episode on the robot; missing joints are drawn in the home pose.
         rate: frames per second [Hz].
 
     Returns:

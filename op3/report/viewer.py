@@ -60,17 +60,17 @@ def _line(label: str, log: Rollout, key: tuple[str, str], joint: str, factor: fl
 
 
 class Strip:
-    """Plots of one joint over time, drawn once; `at` puts the cursor where the time is.
+    """Plots of one joint over time, drawn once; `at` moves the time cursor.
 
     Args:
-        joint: which; `Tracks.joint` where None.
+        joint: plotted joint; None: `Tracks.joint`.
         size: height and width [pixel].
     """
 
     def __init__(self, tracks: Tracks, joint: str | None = None, size: tuple[int, int] = PLOTS):
         self.joint = joint or tracks.joint()
         self._duration = max(tracks.duration, 1e-6)
-        self._fine = 2  # lines are drawn at twice the size, and so without steps
+        self._fine = 2  # lines are drawn at twice the size to smooth them
         height, width = (self._fine * side for side in size)
         self._left, self._right, self._top, self._bottom = 110, width - 40, 130, height - 80
         self._image = Image.new("RGB", (width, height), GROUND)
@@ -106,7 +106,7 @@ class Strip:
             draw.text((self._left - 12, y), f"{value:.3g}", MUTED, _font(22), anchor="rm")
         for label, seconds, values in lines:
             y = top + height * (high - np.nan_to_num(values, nan=low)) / (high - low)
-            # the first, measured, lies beneath, so it is the wider one
+            # the first (measured) line is below the others and therefore wider
             width = 3 if label == COMMAND else 9 if colours[label] == INK else 4
             draw.line(list(np.stack([self._x(seconds), y], 1).ravel()), colours[label], width)
 
@@ -123,15 +123,15 @@ def _font(size: int) -> Any:
 
 
 def overlay_colours(tracks: Tracks) -> list[tuple[float, float, float]]:
-    """Colours of all robots but the first, those of their lines."""
+    """Colours of all robots except the first, which match their lines."""
     return [rgb(colour) for _, colour in zip(list(tracks.logs)[1:], PALETTE, strict=False)]
 
 
 def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> Iterator[NDArray[np.uint8]]:
-    """Frames of the robots with the plots beside them, `RATE` a second.
+    """Frames of the robots beside the plots, at `RATE` frames per second.
 
     Raises:
-        RenderError: if nothing can be drawn here.
+        RenderError: if rendering is not possible on this machine.
     """
     rate, strip = RATE / speed, Strip(tracks, joint)
     frames = draw_frames(tracks.scene.compile(), tracks.states(rate), size=PICTURE, overlays=overlay_colours(tracks))
@@ -141,17 +141,17 @@ def pictures(tracks: Tracks, joint: str | None = None, speed: float = 1.0) -> It
 
 @dataclass
 class Playback:
-    """Playback of a window: position [s], speed relative to real time, and keys."""
+    """Playback in a window: position [s], speed relative to real time, and keys."""
 
     duration: float
     seconds: float = 0.0
     speed: float = 1.0
     playing: bool = True
 
-    KEYS = "space: play or pause; left, right: half a second; comma, point: a frame; up, down: speed; Home: begin"
+    KEYS = "space: play or pause; left, right: half a second; comma, point: a frame; up, down: speed; Home: restart"
 
     def key(self, code: int) -> None:
-        """Do what a key of GLFW stands for."""
+        """Handle a key of GLFW."""
         jumps = {262: 0.5, 263: -0.5, 46: 1 / RATE, 44: -1 / RATE, 268: -self.duration}
         if code == 32:
             self.playing = not self.playing
@@ -162,7 +162,7 @@ class Playback:
             self.playing = self.playing and code not in (44, 46)
 
     def advance(self, elapsed: float) -> bool:
-        """Let time [s] pass; at the end it starts over, and that is said."""
+        """Advance by a time [s]; return whether playback restarted at the end."""
         ahead = self.seconds + self.speed * elapsed * self.playing
         self.seconds = ahead % max(self.duration, 1e-9) if self.playing else ahead
         return self.playing and ahead >= self.duration
@@ -172,10 +172,9 @@ def window(stretches: Iterable[Tracks | None], joint: str | None = None, speed: 
     """Play in MuJoCo's viewer until it is closed.
 
     Args:
-        stretches: what is played, one after the other, and the last again and again; None where the next one is not
-            there yet.
-        joint: whose plots stand beside; `Tracks.joint` where None.
-        speed: times real time.
+        stretches: parts that are played in turn, the last one repeatedly; None while the next part is not available.
+        joint: joint of the plots; None: `Tracks.joint`.
+        speed: playback speed relative to real time.
     """
     import mujoco.viewer
 

@@ -1,4 +1,4 @@
-"""YAML files checked by pydantic: every error is one sentence with file, line, field and the nearest valid name."""
+"""YAML files checked by pydantic; every error is one sentence with file, line, field and the nearest valid name."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Content = TypeVar("Content", bound="Record")
 
 
 Real = Annotated[float, Field(strict=True)]
-"""A number; texts and truth values are refused."""
+"""A number; texts and booleans are not accepted."""
 
 
 class Record(BaseModel):
-    """Part of a data file: its fields and no others, immutable after reading."""
+    """Part of a data file with exactly these fields, immutable after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def among(what: str, known: Iterable[str]) -> AfterValidator:
-    """Validator that a field's text is one of these names of a kind."""
+    """Validator that a field's text is a known name of this kind."""
 
     def check(name: str) -> str:
         if name not in known:
@@ -43,7 +43,7 @@ class DataFile:
     """A YAML file with the line of every entry.
 
     Raises:
-        DataFileError: if there is none, or it is not YAML.
+        DataFileError: if the file does not exist or is not YAML.
     """
 
     def __init__(self, path: str | Path):
@@ -60,7 +60,7 @@ class DataFile:
         self._tree = yaml.compose(text, yaml.SafeLoader)
 
     def line(self, place: Sequence[str | int] = ()) -> int:
-        """Line of an entry, such as ``("joints", "elbow", "limits")``; of its nearest parent that exists."""
+        """Line of an entry, such as ``("joints", "elbow", "limits")``, or of its nearest existing parent."""
         node, line = self._tree, 1
         for step in place:
             below = _step(node, step)
@@ -70,7 +70,7 @@ class DataFile:
         return line
 
     def fault(self, place: Sequence[str | int], problem: str) -> DataFileError:
-        """The error for an entry, to raise."""
+        """The error for an entry."""
         field = ".".join(str(step) for step in place)
         return DataFileError(f"{self.path}, line {self.line(place)}: {field + ' ' if field else ''}{problem}")
 
@@ -79,10 +79,10 @@ class DataFile:
         return self.fault(place, f"names the {what} {name!r}, which does not exist{nearest(name, known)}")
 
     def read(self, kind: type[Content]) -> Content:
-        """The file's content, checked.
+        """The validated content of the file.
 
         Raises:
-            DataFileError: with the first error.
+            DataFileError: the first error in the file.
         """
         try:
             return kind.model_validate(self.content)

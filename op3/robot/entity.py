@@ -80,7 +80,7 @@ class RobotEntity(composer.Entity):
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
-        """The robot's own MJCF tree."""
+        """The robot's MJCF tree."""
         return self._mjcf_root
 
     @property
@@ -112,7 +112,7 @@ class RobotEntity(composer.Entity):
 
     @property
     def self_contact(self) -> mjcf.Element:
-        """Sensor of the robot's contacts with itself: their number, and the smallest distance [m], negative inside."""
+        """Self-contact sensor: number of contacts, and smallest distance [m], negative for penetration."""
         return self._find("sensor", "self_contact")
 
     @property
@@ -128,10 +128,10 @@ class RobotEntity(composer.Entity):
 
     @property
     def imu_sensors(self) -> list[mjcf.Element]:
-        """Sensors of the IMU's orientation in the world, a quaternion (w, x, y, z), and in its own frame of the angular
-        velocity [rad/s] and the specific force [m/s^2], +g upwards at rest.
+        """Sensors of the IMU: orientation in the world, as a quaternion (w, x, y, z), and angular velocity [rad/s] and
+        specific force [m/s^2], +g upwards at rest, in the IMU's frame.
 
-        On a fixed base the last reads zero in MuJoCo; see `Scene.mounted_specific_force`.
+        On a fixed base MuJoCo's specific force is zero; see `Scene.mounted_specific_force`.
         """
         return [self._find("sensor", name) for name in IMU_SENSORS]
 
@@ -146,7 +146,7 @@ def _read(robot: Robot) -> Any:
     """The robot's model without actuators, sensors, free base and world."""
     spec = read_model(robot.model_path, robot.file).spec
     changed = robot.followed or any(part.ignored for part in robot.model_parts)
-    # MuJoCo converts these so that they fit into our scenes
+    # MuJoCo converts these to fit into op3's scenes
     if changed or robot.model_path.suffix == ".urdf" or spec.compiler.degree:
         spec.compile()
         root: Any = mjcf.from_xml_string(spec.to_xml(), model_dir=str(robot.model_path.parent))

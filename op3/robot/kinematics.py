@@ -1,4 +1,4 @@
-"""Forward kinematics of a robot's soles and key points, by MuJoCo.
+"""Forward kinematics of a robot's soles and key points, computed by MuJoCo.
 
 All results are in the frame of the base (of the OP3: origin between the hip yaw axes, x forward, y left, z up).
 """
@@ -83,7 +83,7 @@ def sole_normals(joint_position: ArrayLike, robot: str | Robot) -> Array:
 
 
 def level_soles(joint_position: ArrayLike, robot: str | Robot) -> tuple[float, float]:
-    """Roll and pitch [rad] of a base whose soles, on average over the feet, are level; zero for feet without soles."""
+    """Roll and pitch [rad] of the base for which the soles are level on average; zero for feet without soles."""
     if not load_robot(robot).file.soles:
         return 0.0, 0.0
     up = sole_normals(joint_position, robot).mean(0)
@@ -114,6 +114,6 @@ def roll_pitch_yaw(quaternion: Array) -> Array:
 
 
 def minimum_jerk(share: ArrayLike) -> NDArray[np.float64]:
-    """Share of a motion completed at a share of its time, 0 to 1 each, with zero speed and acceleration at its ends."""
+    """Completed share of a motion at a share of its time, both 0 to 1, with zero speed and acceleration at the ends."""
     s = np.clip(share, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)

@@ -1,4 +1,4 @@
-"""The MJCF or URDF of a robot file as MuJoCo reads it: elements that are used, replaced by the servo model, or ignored.
+"""The MJCF or URDF of a robot file as MuJoCo reads it: used, replaced and ignored elements.
 
 For joints with a servo, the servo model replaces actuators, effort limits, damping, friction, armature, springs and
 gravity compensation. Joints without a servo keep those of the model; coupled joints follow others by equalities.
@@ -24,12 +24,12 @@ from op3.robot.robot_file import RobotFile, slide_of
 USED, REPLACED, IGNORED = "used", "replaced by the servo model", "ignored"
 
 _ROTOR = (0.1, 0.0025)
-"""Radius [m] and mass [kg] of the invisible sphere that the servo of a slide turns: small beside a geared motor's
-inertia, and large enough for the equality, which becomes softer with a lighter hinge."""
+"""Radius [m] and mass [kg] of the invisible sphere that the servo of a slide turns: small compared with a geared
+motor's inertia, but large enough for the equality, which is softer for a lighter hinge."""
 
 _FIRM = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of the equality that moves a slide, MuJoCo's largest: it adds the inverse inertias of hinge and slide
-without regard to the ratio [m/rad], so MuJoCo's default is soft.
+"""Impedance of the equality that moves a slide, MuJoCo's largest: MuJoCo's default is soft, because the equality adds
+the inverse inertias of hinge and slide regardless of the ratio [m/rad].
 """
 
 _STIFF = (0.002, 1.0)
@@ -46,7 +46,7 @@ class Part:
     Attributes:
         what: kind of element.
         names: names of the joints or elements.
-        fate: `USED`, `REPLACED` or `IGNORED`, with the reason.
+        fate: `USED`, `REPLACED` or `IGNORED`, with a reason.
     """
 
     what: str
@@ -85,7 +85,7 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
         ValueError: if MuJoCo cannot read it, or a mesh of a ROS package is missing.
     """
     spec = mujoco.MjSpec.from_file(str(path))
-    spec.compiler.fusestatic = False  # which otherwise merges a URDF's first link into the world
+    spec.compiler.fusestatic = False  # otherwise a URDF's first link is merged into the world
     for mesh in spec.meshes:
         if "package:" in mesh.file:
             mesh.file = str(_of_package(mesh.file, path))
@@ -120,7 +120,7 @@ def read_model(path: Path, content: RobotFile) -> ModelSource:
 
 
 def _rename_joints(spec: mujoco.MjSpec) -> None:
-    """Give joints whose names could not be columns of a log, with blanks or a digit at first, names that can."""
+    """Rename joints whose names cannot be log columns, because they contain blanks or begin with a digit."""
     for joint in spec.joints:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", re.sub(r"^(?=[\d-])", "joint_", joint.name))
         if name == joint.name or spec.joint(name) is not None:
@@ -146,9 +146,9 @@ def _drive_slides(spec: mujoco.MjSpec, content: RobotFile) -> dict[str, float]:
 
 
 def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, float]) -> Followed:
-    """Couplings of joints without a servo, from the file or else from the model; a joint coupled to a slide follows the
-    slide's servo."""
-    names = {joint.name for joint in spec.joints}  # the check of the file refuses other names
+    """Couplings of joints without a servo, from the file or otherwise from the model; a joint on a slide follows its
+    servo."""
+    names = {joint.name for joint in spec.joints}  # the file's check rejects other names
     found: Followed = {
         name: (drive.joint, drive.ratio, drive.offset) if (drive := entry.coupled) else (None, 0.0, entry.held or 0.0)
         for name, entry in content.unpowered.items()
@@ -165,7 +165,7 @@ def _followed(spec: mujoco.MjSpec, content: RobotFile, slides: Mapping[str, floa
 def _mimics(spec: mujoco.MjSpec, powered: Container[str]) -> dict[str, tuple[str, float, float]]:
     """Couplings from equalities of two joints in an MJCF, to which MuJoCo also converts a URDF's `mimic`.
 
-    Of the two joints the one with a servo drives the other.
+    The joint with a servo drives the other.
     """
     found = {}
     for one in spec.equalities:
@@ -213,7 +213,7 @@ def _of_package(file: str, model: Path) -> Path:
     found = next((path for path in tried if path.is_file()), None)
     if found is None:
         raise ValueError(
-            f"mesh package://{package}/{rest} is not there: put the folder {package!r} beside {model.name}, or write"
+            f"mesh package://{package}/{rest} was not found: put the folder {package!r} beside {model.name}, or write"
             " the mesh's path in it"
         )
     return found

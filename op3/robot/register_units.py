@@ -8,7 +8,7 @@ from math import radians
 from op3.robot.servo_make import load_servo
 
 GRAVITY = 9.81
-"""Gravity of the scenes, and of everything that is compared with them [m/s^2]."""
+"""Gravity of the scenes and of everything compared with them [m/s^2]."""
 
 STANDARD_GRAVITY = 9.80665
 """One g [m/s^2], the unit of accelerations in data sheets, not the local gravity."""

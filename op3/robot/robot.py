@@ -62,7 +62,7 @@ class Robot:
 
     @property
     def reference(self) -> str:
-        """Its reference in logs and configs: its name if it is one of the project, else the path of its file."""
+        """Reference in logs and configs: the name of a robot of the project, otherwise the path of the file."""
         return self.name if robot_files().get(self.name) == self.path else str(self.path)
 
     @cached_property
@@ -77,12 +77,12 @@ class Robot:
 
     @property
     def firmware_gain(self) -> Array:
-        """Factory gain of each servo's own position law, ``[joint]`` in firmware units; 0 without one."""
+        """Factory gain of each servo's position law, ``[joint]`` in firmware units; 0 without a position law."""
         return np.array([0.0 if make.position_law is None else make.position_law.gain.si for make in self.servos])
 
     @property
     def controlled(self) -> tuple[str, ...]:
-        """The joints that policies command and errors are averaged over."""
+        """The joints that policies command and over which errors are averaged."""
         return self.joints if self.file.controlled is None else self.file.controlled
 
     @property
@@ -95,7 +95,7 @@ class Robot:
         """Indices of joints, ``[joint]`` in the order of `names`.
 
         Raises:
-            ValueError: if it has no such joint.
+            ValueError: if the robot has no such joint.
         """
         wanted = [names] if isinstance(names, str) else list(names)
         unknown = [name for name in wanted if name not in self._index]
@@ -156,7 +156,7 @@ class Robot:
 
     @cached_property
     def sole_geoms(self) -> tuple[int, ...]:
-        """Numbers of the geoms on which it stands, in the bare model: soles, or else colliding geoms of the feet."""
+        """Ids of the geoms on which the robot stands, in the bare model: soles, or colliding geoms of the feet."""
         model = self.bare_model
         if self.file.soles:
             return tuple(int(model.geom(name).id) for name in self.file.soles)
@@ -192,7 +192,7 @@ class Robot:
 
     @cached_property
     def mirror(self) -> dict[str, tuple[str, int]]:
-        """For each joint, its partner in the mirror (itself on the middle line) and the sign its angle takes there.
+        """For each joint, its mirror partner (itself on the middle line) and the sign of the mirrored angle.
 
         An axis of rotation is an axial vector, so the reflection in the plane y = 0 takes (x, y, z) to (-x, y, -z).
 
@@ -214,12 +214,12 @@ class Robot:
         """Joint angles (or velocities, or torques) ``[..., joint]`` of its mirror image."""
         partners = self.indices(self.mirror[name][0] for name in self.joints)
         signs = np.array([self.mirror[name][1] for name in self.joints], dtype=float)
-        # the sign of a pair is the same both ways, so the receiving joint's sign serves
+        # the sign is the same in both directions, so the receiving joint's sign is used
         return np.asarray(joint_position, dtype=float)[..., partners] * signs
 
     def completed(self, angles: Mapping[str, ArrayLike]) -> Array:
-        """Whole-body angles ``[..., joint]`` from some joints' in rad; other joints are as their partner, else at
-        home.
+        """Whole-body angles ``[..., joint]`` in rad from the angles of some joints; the others mirror their partner or
+        are at home.
         """
         shape = np.broadcast_shapes(*(np.shape(value) for value in angles.values()))
         position = np.tile(self.home, (*shape, 1))
@@ -235,7 +235,7 @@ class Robot:
         """Joint angles [joint] in rad of a named pose: "home" (also called "stand"), "zero", or one of its file.
 
         Raises:
-            ValueError: if it has no such pose.
+            ValueError: if the robot has no such pose.
         """
         if name in ("home", "stand"):
             return self.home.copy()
@@ -304,7 +304,8 @@ class Robot:
 
 
 def load_robot(name: str | Path | Robot) -> Robot:
-    """A robot by its name in ``assets/robots`` or by the path of its file; a `DataFileError` if that is wrong."""
+    """A robot by its name in ``assets/robots`` or by the path of its file; raises `DataFileError` if missing or
+    invalid."""
     if isinstance(name, Robot):
         return name
     try:
@@ -351,7 +352,7 @@ def _source(file: DataFile, path: Path, content: RobotFile) -> tuple[mujoco.MjMo
     try:
         source = read_model(path, content)
         model = source.spec.compile()
-        model.names.decode()  # non-text bytes are found here
+        model.names.decode()  # detects non-text bytes
         return model, source
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())

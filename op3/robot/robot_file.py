@@ -21,7 +21,7 @@ FORMAT = "op3-robot/1"
 """Version of the format of robot files."""
 
 ANGLES: Mapping[str, float | None] = {"rad": 1.0, "deg": pi / 180, "turn": 2 * pi, "count": None}
-"""Units of a log's angles [rad]; that of a count is the encoder's."""
+"""Units of a log's angles [rad]; a count is the encoder's count."""
 
 ADJUSTABLE = ("mass", "center_of_mass_x", "center_of_mass_y", "center_of_mass_z")
 """Properties of a body that a robot's parameters may set."""
@@ -34,10 +34,10 @@ class LogChannel(Record):
     """Convention of a joint in external logs: position = sign * (reading - zero) in `unit`; the sign applies to all.
 
     Attributes:
-        name: of the joint in the log; None: as here.
+        name: name of the joint in the log; None: the same name.
         sign: 1 or -1.
         zero: reading at joint angle zero, in `unit`.
-        unit: of angles and, per second, of velocities: one of `ANGLES`.
+        unit: unit of angles and, per second, of velocities: one of `ANGLES`.
         velocity_factor: further factor of velocities: 0.5 if the log has twice the rate.
     """
 
@@ -52,14 +52,15 @@ class JointEntry(Record):
     """One joint of a robot file.
 
     Attributes:
-        servo: make of its servo; None: that of the file.
+        servo: make of its servo; None: the file's `servo`.
         bus_id: id of its servo on the bus.
         limits: lowest and highest angle that software may command [rad]; None: the model's range, else half a turn
             either way.
         home: angle in the robot's home pose [rad].
         peak_current: largest current that software may command [A]; None: the largest of its make.
         mirror: joint on the other side; None if there is none.
-        travel: travel of the model's slide per angle of its servo [m/rad]; the joint is then that angle. None: a hinge.
+        travel: travel of the model's slide per angle of its servo [m/rad]; the joint position is then that angle. None:
+            a hinge.
         log: convention in external logs.
     """
 
@@ -79,7 +80,7 @@ class Coupling(Record):
     Attributes:
         joint: joint that it follows.
         ratio: ratio of the positions.
-        offset: its position when that joint is at zero.
+        offset: position when that joint is at zero.
     """
 
     joint: str
@@ -88,7 +89,7 @@ class Coupling(Record):
 
 
 class Unpowered(Record):
-    """A joint without a servo: exactly one of these.
+    """A joint without a servo; exactly one attribute is set.
 
     Attributes:
         passive: moves freely, with the spring, damping and friction of the model.
@@ -111,11 +112,11 @@ class AdjustableNumber(Record):
     """A parameter of the model that differs between robots, such as the mass of a pendulum.
 
     Attributes:
-        default: in `unit`.
+        default: default value in `unit`.
         unit: unit of the parameter.
         body: body that it changes.
         sets: one of `ADJUSTABLE`.
-        factor: factor by which it is multiplied there.
+        factor: factor from the parameter to the body's property.
     """
 
     default: Real
@@ -131,8 +132,8 @@ class RobotFile(Record):
     Attributes:
         format: version of the file format.
         name: name of the robot.
-        model: its MJCF or URDF, relative to the file.
-        source: source of its numbers.
+        model: MJCF or URDF, relative to the file.
+        source: source of the numbers.
         base: base body; None: the parent of the joints.
         fixed: whether the base is bolted down.
         imu: site of the IMU, if it has one.
@@ -141,8 +142,8 @@ class RobotFile(Record):
         key_points: sites of the soles whose positions a policy observes, equally many per foot, in the order of `feet`;
             the first of each foot is its inner tip. Without key points, a policy observes the origins of the feet.
         tip: site at the end of an arm, for reaching tasks.
-        servo: make of the servos of all joints that name none.
-        loop: `current` or `firmware`, the position loop of all servos; None: that of their makes.
+        servo: make of the servos of all joints without an entry `servo`.
+        loop: `current` or `firmware`, the position loop of all servos; None: the loop of their makes.
         law: default model, a name in assets/models; None: a model built from its servo makes.
         board: board that switches the servos' supply and has the IMU; None: servos always have power, and there is no
             IMU.
@@ -150,8 +151,8 @@ class RobotFile(Record):
             become `unpowered`.
         unpowered: the model's joints without a servo. Joints that mimic others, by a URDF's `mimic` or an MJCF's
             equality, are coupled without an entry.
-        controlled: joints that policies command and errors are averaged over; None: all. Others are held at home.
-        poses: angles by joint [rad] of named poses; a joint not named is as its mirror partner, else at home.
+        controlled: joints that policies command and over which errors are averaged; None: all. Others are held at home.
+        poses: angles by joint [rad] of named poses; other joints mirror their partner or are at home.
         parameters: parameters of the model that differ between robots, by name.
     """
 
@@ -179,7 +180,7 @@ class RobotFile(Record):
     @model_validator(mode="before")
     @classmethod
     def _empty_joints(cls, values: Any) -> Any:
-        """A joint without properties is written without a value."""
+        """A joint without properties may have no value in the file."""
         joints = values.get("joints") if isinstance(values, dict) else None
         if isinstance(joints, dict):
             joints = {name: {} if entry is None else entry for name, entry in joints.items()}
@@ -190,7 +191,7 @@ class RobotFile(Record):
 
 
 def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupled: Collection[str] = ()) -> None:
-    """Refuse unknown names and contradictory entries.
+    """Raise an error for unknown names and contradictory entries.
 
     Args:
         file: the file.
@@ -223,7 +224,7 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupl
         if name is not None and name not in names[kind]:
             raise file.unknown(place, kind, name, names[kind])
     for name in set(content.poses) & {"home", "stand", "zero"}:
-        raise file.fault(("poses", name), "is a pose that every robot has; give this one another name")
+        raise file.fault(("poses", name), "is a pose that every robot has; use another name")
     for name, one in content.parameters.items():
         if one.sets == "mass" and one.factor * one.default <= 0:
             raise file.fault(("parameters", name), f"makes a mass of {one.factor * one.default:g} kg")
@@ -250,7 +251,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
             problem = (
                 "is not a hinge in the model: write `travel: <m/rad>` for how far its servo moves a slide, `held: 0.0` "
             )
-            problem += "where it stays, or `coupled: {joint: <hinge>, ratio: <m/rad>}` where a hinge drives it"
+            problem += "where it stays, or `coupled: {joint: <hinge>, ratio: <m/rad>}` if a hinge drives it"
             raise file.fault(place, problem)
         if entry.travel is not None and slide_of(name) not in hinges:
             raise file.fault((*place, "travel"), "applies to a slide joint, but the model has a hinge here; remove it")
@@ -268,12 +269,12 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         if entry.bus_id is not None:
             if entry.bus_id in ids:
                 other = ids[entry.bus_id]
-                raise file.fault((*place, "bus_id"), f"is {entry.bus_id}, as that of {other}; give each its own")
+                raise file.fault((*place, "bus_id"), f"is {entry.bus_id}, which {other} also has; use another id")
             ids[entry.bus_id] = name
     given = [entry.bus_id is not None for entry in content.joints.values()]
     if any(given) and not all(given):
         name = list(content.joints)[given.index(False)]
-        raise file.fault(("joints", name), "has no bus_id, where other joints have one; give it its own")
+        raise file.fault(("joints", name), "has no bus_id although other joints have one; add a unique bus_id")
     for name, entry in content.unpowered.items():
         place = ("unpowered", name)
         if name not in hinges:
@@ -299,7 +300,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
 def _check_limits(
     file: DataFile, place: tuple[str, ...], limits: tuple[float, float], joint: Any, count: float
 ) -> None:
-    """Refuse invalid ranges, and limits beyond the model's range by more than an encoder count."""
+    """Raise an error for invalid ranges, and for limits beyond the model's range by more than an encoder count."""
     (low, high), (first, last) = limits, joint.range
     if not low < high:
         raise file.fault(place, f"go from {low:g} to {high:g}: give the lower one first")
@@ -308,7 +309,7 @@ def _check_limits(
 
 
 def _check_partners(file: DataFile, content: RobotFile) -> None:
-    """Refuse a joint that mirrors itself, or that has two partners."""
+    """Raise an error for a joint that mirrors itself or has two partners."""
     partners: dict[str, str] = {}
     for name, entry in content.joints.items():
         if entry.mirror is None:
@@ -317,9 +318,9 @@ def _check_partners(file: DataFile, content: RobotFile) -> None:
         if entry.mirror not in content.joints:
             raise file.unknown(place, "joint", entry.mirror, content.joints)
         if entry.mirror == name:
-            raise file.fault(place, "names the joint itself; leave `mirror` out")
+            raise file.fault(place, "names the joint itself; omit `mirror`")
         if taken := [one for one, other in pair.items() if partners.setdefault(one, other) != other]:
-            raise file.fault(place, f"is {entry.mirror}, but {taken[0]} has the partner {partners[taken[0]]} already")
+            raise file.fault(place, f"is {entry.mirror}, but {taken[0]} already has the partner {partners[taken[0]]}")
 
 
 def servo_path(file: Path, named: str) -> str | Path:

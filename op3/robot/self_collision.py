@@ -1,4 +1,4 @@
-"""Distances between parts of a robot, fast enough for a control loop."""
+"""Distances between parts of a robot, computed fast enough for a control loop."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -14,7 +14,7 @@ from op3.robot.model_source import read_model
 from op3.robot.robot import Robot, exclude_neighbours
 
 CLEARANCE = 0.005
-"""Least distance between two parts of the robot that are not neighbours [m]."""
+"""Smallest allowed distance between non-neighbouring parts of the robot [m]."""
 
 LARGEST_OVERLAP = 0.002
 """Depth to which collision shapes may enter each other [m]: more than three times what two legs that meet at stall
@@ -34,8 +34,8 @@ class Gap:
     """Two parts of a robot that are close to each other.
 
     Attributes:
-        distance: between their collision shapes [m], negative where one is inside the other.
-        parts: their names.
+        distance: distance between their collision shapes [m], negative for overlap.
+        parts: names of the parts.
     """
 
     distance: float
@@ -85,11 +85,11 @@ class SelfCollision:
         overlap: float = LARGEST_OVERLAP,
         ahead: float = LARGEST_OVERLAP_AHEAD,
     ) -> Gap | None:
-        """Parts that overlap by more than `overlap` [m] now or by more than `ahead` [m] within `HORIZON`; else None.
+        """Parts that overlap by more than `overlap` [m] now or `ahead` [m] within `HORIZON`; otherwise None.
 
         Args:
-            position: measured, [joint] in rad.
-            velocity: measured, [joint] in rad/s, assumed constant for `HORIZON`.
+            position: measured angles [joint] in rad.
+            velocity: measured velocities [joint] in rad/s, assumed constant for `HORIZON`.
         """
         coming = np.asarray(position) + HORIZON * np.asarray(velocity)
         return self._deeper(position, overlap) or self._deeper(coming, ahead)
@@ -97,15 +97,15 @@ class SelfCollision:
     def commanded(
         self, position: ArrayLike, target: ArrayLike, p_gain: ArrayLike, ahead: float = LARGEST_OVERLAP_AHEAD
     ) -> Gap | None:
-        """Parts that overlap by more than `ahead` [m] at the commanded angles; else None.
+        """Parts that overlap by more than `ahead` [m] at the commanded angles; otherwise None.
 
-        The target of a joint with a low gain may be far inside another part without pressing on it. The checked pose is
-        therefore the target that would give the same torque with the highest gain.
+        The target of a joint with a low gain may be deep inside another part with little contact force. The checked
+        pose is therefore the target that would give the same torque with the highest gain.
 
         Args:
-            position: measured, [joint] in rad.
-            target: [joint] in rad.
-            p_gain: [joint] in A/rad.
+            position: measured angles [joint] in rad.
+            target: target angles [joint] in rad.
+            p_gain: P gains [joint] in A/rad.
         """
         position = np.asarray(position)
         return self._deeper(position + np.asarray(p_gain) / GAIN_HIGH * (np.asarray(target) - position), ahead)

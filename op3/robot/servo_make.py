@@ -50,10 +50,10 @@ class Figure(Record):
     """A number with its unit and source.
 
     Attributes:
-        value: in `unit`; all are above zero.
+        value: positive value in `unit`.
         unit: one of `TO_SI`.
         source: key of the file's `sources`.
-        at: supply voltage at which it is valid [V], if it depends on that.
+        at: supply voltage at which the value is valid [V], if it depends on the voltage.
     """
 
     value: Annotated[Real, Field(gt=0)]
@@ -68,7 +68,7 @@ class Figure(Record):
 
 
 def _in(unit: str) -> AfterValidator:
-    """Validator that a number has this SI unit or one that converts to it."""
+    """Validator that a number has this SI unit or a unit that converts to it."""
     known = [name for name, (of, _) in TO_SI.items() if of == unit]
 
     def check(figure: Figure) -> Figure:
@@ -86,8 +86,8 @@ class MotorData(Record):
 
     Attributes:
         gear_ratio: motor turns per output turn.
-        torque_constant: at the motor's shaft [N m/A].
-        terminal_resistance: [ohm].
+        torque_constant: torque constant at the motor's shaft [N m/A].
+        terminal_resistance: terminal resistance [ohm].
         armature: rotor's inertia at the output [kg m^2].
     """
 
@@ -102,7 +102,7 @@ class Counts(Record):
 
     Attributes:
         position: counts per turn of the encoder.
-        zero: reading of the encoder in the middle of its turn.
+        zero: encoder reading in the middle of its turn.
         velocity: one unit of velocity.
         current: one unit of current, if the servo measures it.
         voltage: one unit of voltage.
@@ -123,14 +123,14 @@ class ServoRatings(Record):
     """Limits of the servo.
 
     Attributes:
-        stall_torque: at the voltage `at` [N m].
-        no_load_speed: at the voltage `at` [rad/s].
-        current: largest [A].
+        stall_torque: stall torque at the voltage `at` [N m].
+        no_load_speed: no-load speed at the voltage `at` [rad/s].
+        current: largest current [A].
         continuous_current: continuous rating [A].
         low_voltage: lowest supply voltage [V].
         high_voltage: highest supply voltage [V].
-        temperature: temperature at which it switches itself off [C].
-        thermal_resistance: from windings to air [K/W].
+        temperature: temperature at which the servo switches off [C].
+        thermal_resistance: thermal resistance from windings to air [K/W].
     """
 
     stall_torque: Annotated[Figure, _in("N m")]
@@ -144,12 +144,12 @@ class ServoRatings(Record):
 
 
 class PositionLaw(Record):
-    """The firmware's own position loop: duty = clip(gain * error_gain * error, +-max_duty).
+    """The firmware's position loop: duty = clip(gain * error_gain * error, +-max_duty).
 
     Attributes:
         error_gain: duty per rad of error and unit of the gain's register.
-        max_duty: largest duty that it commands.
-        goal_speed: largest speed at which the goal is followed [rad/s].
+        max_duty: largest commanded duty.
+        goal_speed: largest speed of the followed goal [rad/s].
         gain: factory value of the register, or the usual one.
     """
 
@@ -164,10 +164,10 @@ class ServoMake(Record):
 
     Attributes:
         format: version of the file format.
-        name: as in the file's name.
+        name: name, the same as the file's.
         maker: manufacturer.
-        sources: sources of its numbers, by key.
-        loop: position loop in op3: `current` (an external PD commands currents) or `firmware` (the servo's own law).
+        sources: sources of the numbers, by key.
+        loop: position loop in op3: `current` (an external PD commands currents) or `firmware` (the servo's law).
         supply: nominal supply voltage [V].
         motor: the motor and its gear.
         counts: units of the registers.
@@ -176,8 +176,8 @@ class ServoMake(Record):
         model_number: answer to a ping, if known.
         bus: register table with which `op3.deploy` drives and emulates it, if supported.
         aliases: other names that recordings give it.
-        recorded: channels of servo-bench recordings that were really measured, besides position, speed and voltage;
-            None without such recordings.
+        recorded: channels of servo-bench recordings that were really measured, in addition to position, speed and
+            voltage; None without such recordings.
     """
 
     format: Literal["op3-servo/1"]
@@ -201,19 +201,19 @@ class ServoMake(Record):
         return 2 * pi / self.counts.position.value
 
     def unit(self, register: str) -> float:
-        """One unit of a register of `Counts`, in SI.
+        """Size of a register unit of `Counts` in SI units.
 
         Raises:
             ValueError: if the servo does not measure it.
         """
         figure = getattr(self.counts, register)
         if figure is None:
-            raise ValueError(f"the {self.name} reads no {register}")
+            raise ValueError(f"the {self.name} does not measure {register}")
         return figure.si
 
     @property
     def peak_current(self) -> float:
-        """Largest current [A]; if its file gives none, that of the stalled motor at its supply."""
+        """Largest current [A]; if the file gives none, the current of the stalled motor at its supply."""
         limits = self.limits
         return limits.current.si if limits.current else self.supply.si / self.motor.terminal_resistance.si
 
@@ -236,7 +236,7 @@ class ServoMake(Record):
 
     @property
     def output_constant(self) -> float:
-        """Torque per current at the output [N m/A]."""
+        """Output torque per current [N m/A]."""
         return self.motor.gear_ratio.si * self.motor.torque_constant.si
 
     def ideal_stall_torque(self, voltage: float | None = None) -> float:
@@ -275,7 +275,7 @@ def load_servo(name: str | Path) -> ServoMake:
         name: name of a file in ``assets/servos``, case-insensitive, or a path.
 
     Raises:
-        DataFileError: if there is none of this name, or its file is wrong.
+        DataFileError: if there is no such servo, or its file is invalid.
     """
     known = servo_files()
     path = known.get(str(name).lower()) or Path(name)
@@ -286,7 +286,7 @@ def load_servo(name: str | Path) -> ServoMake:
     if make.name != path.stem:
         raise file.fault(("name",), f"is {make.name!r}, but the file is called {path.name!r}")
     if make.loop == "firmware" and make.position_law is None:
-        raise file.fault(("loop",), "is 'firmware', so that the file needs a position_law")
+        raise file.fault(("loop",), "is 'firmware', so the file needs a position_law")
     low, high = make.limits.low_voltage.si, make.limits.high_voltage.si
     if not low <= make.supply.si <= high:
         raise file.fault(("supply",), f"is {make.supply.si:g} V, outside its limits {low:g} to {high:g} V")
@@ -297,7 +297,7 @@ def load_servo(name: str | Path) -> ServoMake:
 
 
 def find_servo(name: str | None) -> ServoMake | None:
-    """The make that a recording names, also by an alias or without its variant; None if unknown."""
+    """The make named in a recording, possibly by an alias or without its variant; None if unknown."""
     wanted = _plain(name or "")
     makes = [load_servo(known) for known in servo_files()] if wanted else []
     exact = [make for make in makes if wanted in map(_plain, (make.name, *make.aliases))]

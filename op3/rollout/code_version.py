@@ -1,14 +1,14 @@
-"""The commit of the code that made a log or a result."""
+"""The commit of the code that produced a log or a result."""
 
 import subprocess
 from pathlib import Path
 
 
 def git_hash() -> str | None:
-    """Commit of this package's own repository, None outside one."""
+    """Commit of this package's repository; None if it is not in one."""
     folder = _package()
     try:
-        # a package installed inside another project's repository must not take that project's commit
+        # a package installed inside another project's repository must not report that project's commit
         _git(folder, "ls-files", "--error-unmatch", "__init__.py")
         return _git(folder, "rev-parse", "HEAD")
     except (OSError, subprocess.SubprocessError):
@@ -16,7 +16,7 @@ def git_hash() -> str | None:
 
 
 def git_changes() -> bool | None:
-    """Whether tracked files differ from the commit, None outside a repository of its own."""
+    """Whether tracked files differ from the commit; None if the package is not in its own repository."""
     if git_hash() is None:
         return None
     try:

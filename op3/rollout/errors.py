@@ -1,4 +1,4 @@
-"""The error of all log readers: one sentence that states the place, the problem and the remedy."""
+"""The error of all log readers: one sentence with location, problem and remedy."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 class LogError(ValueError):
     """A log that cannot be used, described in one sentence.
 
-    The sentence reads `<source>, row <row>, column <column>: <problem>; <remedy>.`; the parts that do not
-    apply are left out. The same parts are attributes, so that a program can point at the cell.
+    The sentence reads `<source>, row <row>, column <column>: <problem>; <remedy>.`; parts that do not apply are
+    omitted. The same parts are attributes, so that a program can mark the cell.
 
     Args:
         problem: What is wrong, with the offending value.
         remedy: How to correct it.
-        source: The file or object the log came from.
+        source: File or object that the log was read from.
         column: Column name as in the wide CSV (`elbow.position`), or a metadata field (`field rate`).
         row: Data row counted from 1, or the word `header`.
         episode: Episode counted from 0, for logs with an episode axis.
@@ -49,7 +49,7 @@ class LogError(ValueError):
 
 @contextlib.contextmanager
 def located(**place: Any) -> Iterator[None]:
-    """Add missing parts of the place to a `LogError` raised within the context."""
+    """Add missing parts of the location to a `LogError` raised within the context."""
     try:
         yield
     except LogError as error:
@@ -59,7 +59,7 @@ def located(**place: Any) -> Iterator[None]:
 
 
 def rename(name: object, known: Iterable[str], otherwise: str) -> str:
-    """The remedy for an unknown name: the nearest valid one, or a general remedy if none is similar."""
+    """The remedy for an unknown name: the nearest valid name, or a general remedy if none is similar."""
     by_lower = {one.lower(): one for one in known}
     close = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
-    return f"rename it {by_lower[close[0]]} if that is meant" if close else otherwise
+    return f"rename it to {by_lower[close[0]]} if that is meant" if close else otherwise

@@ -1,7 +1,7 @@
-"""Memory-mapped TensorDicts that cannot be spoilt by reading, and the rows of a recording that has not been finished.
+"""Memory-mapped TensorDicts that reading cannot change, and the rows of an unfinished recording.
 
-TensorDict's own loader maps files shared and writable: an in-place operation on loaded data changes the file,
-and a file cut short is silently grown with zeros. The loader here checks the size and maps copy-on-write.
+TensorDict's own loader maps files shared and writable: an in-place operation on loaded data changes the file, and a
+truncated file is silently extended with zeros. The loader here checks the size and maps copy-on-write.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def save_tensordict(data: TensorDictBase, folder: Path) -> None:
     """Write in TensorDict's memory-map format (also read by `TensorDict.load_memmap`)."""
     try:
         data.clone().memmap(str(folder))
-    except RuntimeError as error:  # torch's, of a full disk
+    except RuntimeError as error:  # torch raises it if the disk is full
         if (code := re.search(r"\((\d+)\)$", str(error))) is None:
             raise
         raise OSError(int(code[1]), os.strerror(int(code[1])), str(folder)) from None
@@ -45,11 +45,11 @@ def map_tensordict(folder: Path) -> TensorDict:
     except LogError:
         raise
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RuntimeError, OverflowError):
-        raise LogError("the file is missing or broken", _RESTORE, source=file) from None
+        raise LogError("the file is missing or damaged", _RESTORE, source=file) from None
 
 
 def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
-    """A channel by its entry in `meta.json`, or a group of channels in a separate folder."""
+    """A channel described in `meta.json`, or a group of channels in a subfolder."""
     if "dtype" not in entry:
         return map_tensordict(folder / name)
     dtype, path = _DTYPES[entry["dtype"]], folder / f"{name}.memmap"
@@ -61,12 +61,12 @@ def _map(folder: Path, name: str, entry: dict[str, Any]) -> Any:
 
 
 class GrowingRows:
-    """The rows of a recording's `rows.bin` as they reach the disk: a line of JSON with the channels, then float64.
+    """Rows of `rows.bin` as they are written: one JSON line with the channels, then float64 numbers.
 
-    Every row repeats its time at its end, so a row that a crash truncated is recognised.
+    Every row ends with a copy of its time, so that a truncated row is detected after a crash.
 
     Args:
-        path: of the file.
+        path: path of the file.
     """
 
     def __init__(self, path: Path):
@@ -75,7 +75,7 @@ class GrowingRows:
         self._layout: list[tuple[Key, int]] = []
 
     def more(self) -> dict[Key, np.ndarray]:
-        """Every whole row that was not read before, by channel, [time, last axis]; no channel where there is none."""
+        """Every complete row not read before, by channel, [time, last axis]; empty without new rows."""
         with self.path.open("rb") as stream:
             stream.seek(self._offset)
             try:
@@ -97,7 +97,7 @@ class GrowingRows:
 
 
 def read_rows(path: Path) -> dict[Key, np.ndarray]:
-    """Every whole row of a recording, by channel, [time, last axis]."""
+    """Every complete row of a recording, by channel, [time, last axis]."""
     if columns := GrowingRows(path).more():
         return columns
-    raise LogError("the interrupted recording holds no rows", "nothing reached the disk, record again", source=path)
+    raise LogError("the interrupted recording contains no rows", "record again, because nothing was saved", source=path)

@@ -1,4 +1,4 @@
-"""The finding of a check of a log."""
+"""A problem that a check reports in a log."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from typing import Any
 from op3.rollout.errors import LogError
 
 ERROR, WARNING = "error", "warning"
-"""An error is impossible, and the log is refused; a warning is suspicious, and the log is accepted."""
+"""With an error, the log is physically impossible and refused; with a warning, it is suspicious but accepted."""
 
 
 @dataclass(frozen=True)
 class LogFinding:
-    """Something about a log that is wrong or suspicious.
+    """A wrong or suspicious property of a log.
 
     Attributes:
         severity: `error` or `warning`.
-        problem: Evidence with its numbers, and the likely cause.
-        remedy: How to correct it, an option of the import where there is one.
+        problem: Evidence with numbers, and the likely cause.
+        remedy: How to correct it, if possible by an option of the import.
         column: Column of the wide CSV, `time`, or a metadata field (`field mass`); None for the whole log.
-        rows: First and last row concerned, counted from 1; None for all.
+        rows: First and last affected row, counted from 1; None for all rows.
         times: Times of these rows [s].
-        set_aside: Whether the column is excluded, while the rest of the log is used.
+        set_aside: Whether the column is excluded while the rest of the log is used.
         check: Name of the check.
     """
 
@@ -39,12 +39,12 @@ class LogFinding:
     check: str = ""
 
     def error(self, source: str | Path | None) -> LogError:
-        """The finding as the error that refuses the log."""
+        """The problem as an error that rejects the log."""
         row = None if self.rows is None else self.rows[0]
         return LogError(self.problem, self.remedy, source=source, column=self.column, row=row)
 
     def row(self) -> dict[str, Any]:
-        """The finding as a row of a table, in plain values."""
+        """The problem as a row of a table, in plain values."""
         joint, _, channel = (self.column or "").rpartition(".")
         rows = "" if self.rows is None else "-".join(str(row) for row in dict.fromkeys(self.rows))
         times = "" if self.times is None else " to ".join(f"{t:.6g}" for t in dict.fromkeys(self.times))
@@ -54,7 +54,7 @@ class LogFinding:
 
 
 def merge_findings(findings: Sequence[LogFinding]) -> list[LogFinding]:
-    """Merge findings of several joints that differ only in their numbers, because they have one cause."""
+    """Merge problems of several joints that differ only in their numbers, because they have the same cause."""
     alike: dict[tuple, list[LogFinding]] = {}
     for number, one in enumerate(findings):
         joint, _, channel = (one.column or "").rpartition(".")

@@ -1,4 +1,4 @@
-"""The probable meaning of a column name in another format."""
+"""Guesses the meaning of a column name of another format."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _SPELLINGS: dict[str, str] = {
     "joint/position": "position positions pos angle angles q qpos theta state",
 }
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
-"""Words for the measured quantity; of several in a name, the first listed here counts."""
+"""Words for the measured quantity; if a name contains several, the first in this list counts."""
 
 _SENSED = ("present", "measured", "meas", "actual", "feedback", "raw")
-"""Words for a measured value; without a word for the quantity it is a position."""
+"""Words for a measured value; without a word for a quantity, the value is a position."""
 
 _NO_POSITIONS = {normal_key(f"joint/{kind}") for kind in ("velocity", "current", "duty", "load", "voltage")}
-"""Quantities other than positions: their targets are not position targets."""
+"""Quantities other than positions, whose targets are not position targets."""
 
 _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "accel": "acc", "accelerometer": "acc"}
 _IMU |= {"linear": "acc", "acceleration": "acc"}
@@ -46,11 +46,11 @@ _TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
 
 
 def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
-    """The meaning of a column by its name; None if the name suggests none.
+    """The meaning that a column's name suggests; None if there is none.
 
     Args:
         name: Name in the file.
-        joints: Joints of the robot; a name that is nearly equal to one of them means it.
+        joints: Joints of the robot; a nearly equal name is matched to a joint.
     """
     name = _of_path(name)
     ours = place(name)
@@ -80,11 +80,11 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         return Column(f"imu.{axis}", unit, why=f"{name!r} names an angle of the trunk")
     meant = {_WORDS[word] for word in lower if word in _WORDS}
     if {"error", "err"} & set(lower) or (meant & {normal_key("command/position")} and meant & _NO_POSITIONS):
-        return Column(None, why=f"{name!r} is neither an angle nor the target of one")
+        return Column(None, why=f"{name!r} is neither an angle nor an angle's target")
     word = next((word for word in (*_WORDS, *_SENSED) if word in lower), None)
     if word is not None:
         known = {*_WORDS, *_FILLERS, *_UNITS}
-        whole = f"_{'_'.join(words).lower()}_"  # a joint's own name may hold such words, as wrist_angle does
+        whole = f"_{'_'.join(words).lower()}_"  # the name of a joint may contain such words, for example wrist_angle
         named = max((one for one in joints if f"_{one.lower()}_" in whole), key=len, default=None)
         joint = named or _joint("_".join(w for w in words if w.lower() not in known), joints)
         column = CHANNELS[_WORDS.get(word, normal_key("joint/position"))].column.format(joint=joint)
@@ -97,9 +97,10 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
 
 
 def _of_path(name: str) -> str:
-    """A name such as `/arm/commands/elbow/position` as `elbow command position`: the joint, and words of its topic.
+    """Turns a name such as `/arm/commands/elbow/position` into `elbow command position`: the joint and the topic's
+    words.
 
-    Names without a topic, and those of a trunk's sensors, stay as they are. An index stands for a joint.
+    Names without a topic and names of trunk sensors are unchanged. An index stands for a joint.
     """
     parts = [part for part in name.split("/") if part]
     words = [[word for word in re.split("[^a-z]+", part.lower()) if word] for part in parts]
@@ -127,14 +128,14 @@ def _joint(name: str, joints: Sequence[str]) -> str:
     by_lower = {joint.lower(): joint for joint in joints}
     within = [one for one in by_lower if f"_{one}_" in f"_{name.lower()}_"]
     close = within if len(within) == 1 else difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.75)
-    if len(close) > 1:  # as near to a left joint as to a right one
+    if len(close) > 1:  # equally similar to a left and a right joint
         first, second = (difflib.SequenceMatcher(None, one, name.lower()).ratio() for one in close)
         close = close[: first > second]
     return by_lower[close[0]] if close and name not in joints else name
 
 
 def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Column]:
-    """Meanings of columns by name; of two columns with the same meaning, the second is left out."""
+    """Meanings of columns by name; if two columns have the same meaning, the second is omitted."""
     meanings: dict[str, Column] = {}
     taken: dict[str | None, str] = {}
     for name in names:
@@ -148,13 +149,13 @@ def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Col
     for name, joint in groups.items() if moved else ():
         if joint in moved or not meanings[name].why:
             continue
-        # what has neither angle nor target is not a joint; a lone joint's own where its names say nothing else
+        # a name without angle and target is not a joint; a single joint may have columns without a joint name
         ours = str(meanings[name].name).replace(joint, next(iter(moved)), 1)
-        why = f"no column has an angle of {joint}"
+        why = f"no column contains an angle of {joint}"
         lone = len(moved) == 1 and "servo" in moved and ours not in taken
         meanings[name] = dataclasses.replace(meanings[name], name=ours) if lone else Column(None, why=why)
         taken[ours] = name
-    if any(str(column.name).endswith(".d_gain") for column in meanings.values()):  # a computer's loop, not a servo's
+    if any(str(column.name).endswith(".d_gain") for column in meanings.values()):  # the computer closes the loop
         for name, column in meanings.items():
             if str(column.name).endswith(".firmware_gain") and column.why:
                 ours = str(column.name).replace(".firmware_gain", ".p_gain")

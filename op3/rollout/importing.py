@@ -1,7 +1,8 @@
-"""Converts the content of a file to rollouts: names, units, one clock, the options of the import.
+"""Converts the content of a file to rollouts: names, units, a common clock and import options.
 
-A log may have a YAML file of its name beside it (`run.yaml` for `run.csv`, `chirp.yaml` for the folder `chirp`), or a
-folder one `columns.yaml` for all its logs. It holds metadata and, for what the log does not state, `Options`.
+A log may have a YAML file of the same name beside it (`run.yaml` for `run.csv`, `chirp.yaml` for the folder `chirp`),
+or a folder may have one `columns.yaml` for all its logs. The YAML contains metadata, and `Options` for everything that
+the log does not state.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from op3.rollout.validate import check_time, holes
 SHARED = "columns.yaml"
 
 HELD = 0.25
-"""Time for which the last command is held after its time stamp [s], as the robot comes to rest."""
+"""Time for which the last command is held after its time stamp [s], while the robot comes to rest."""
 
 _BLANK = 0.05
-"""Share of blank cells up to which a measured column counts as incomplete; with more, it has separate times."""
+"""Largest share of blank cells in an incomplete measured column; with more, the column has its own times."""
 
 Columns = dict[str, np.ndarray]
 """Values by column of the wide CSV, [time]."""
@@ -51,12 +52,12 @@ class Options:
     """Options for reading a log, from the YAML beside it or from a command.
 
     Attributes:
-        columns: By column of the file, its name in the wide CSV or fields of `Column`, such as ``{name: elbow.position,
+        columns: Name in the wide CSV, or fields of `Column`, by column of the file, such as ``{name: elbow.position,
             unit: deg, sign: -1}``.
-        scale: Multiplies columns, after everything that `columns` does.
-        unwrap: Whether, or in which joints, jumps by a turn and offsets of whole turns from the command are removed.
-        shift: Added to positions and targets of joints [rad], after unwrapping.
-        split: Whether the log is cut where the clock jumps or rows are missing.
+        scale: Factors on columns, applied after `columns`.
+        unwrap: Whether, or in which joints, to remove jumps by a turn and offsets of whole turns from the command.
+        shift: Angles added to positions and targets of joints [rad], after unwrapping.
+        split: Whether to cut the log where the clock jumps or rows are missing.
     """
 
     columns: Named[Any] = field(default_factory=dict)
@@ -76,7 +77,7 @@ class Side:
     Attributes:
         metadata: Fields of `Metadata`.
         options: Options of the import.
-        source: The file, named in errors.
+        source: The file that errors name.
         found: Whether the file exists.
     """
 
@@ -87,15 +88,15 @@ class Side:
 
 
 def side_path(path: Path) -> Path:
-    """Path of the YAML of a log: `run.yaml` for `run.csv.xz`; folders keep their dots."""
+    """Path of a log's YAML, such as `run.yaml` for `run.csv.xz`; dots in folder names are kept."""
     name = path.name if path.is_dir() else unpacked(path).stem
     short = path.parent / f"{name}.yml"
     return short if short.is_file() else short.with_suffix(".yaml")
 
 
 def read_side(path: Path, options: Mapping[str, Any] | None = None, proposed: Mapping[str, Any] | None = None) -> Side:
-    """Content of the YAML beside a log: its own file overrides the folder's, and options of a command override both;
-    without a file, the proposed content."""
+    """Content of the YAML beside a log. The log's file overrides the folder's file, and options of a command override
+    both; without a file, the proposed content is used."""
     values = dict(proposed or {})
     files = [file for file in (path.parent / SHARED, side_path(path)) if file.is_file() and file != path]
     for file in files:
@@ -105,7 +106,7 @@ def read_side(path: Path, options: Mapping[str, Any] | None = None, proposed: Ma
     given |= {name: value for name, value in (options or {}).items() if value is not None}
     with located(source=source):
         if (odd := next((name for name in options or {} if name not in OPTIONS), None)) is not None:
-            problem, remedy = f"{odd!r} is not an option of an import", f"options are {', '.join(OPTIONS)}"
+            problem, remedy = f"{odd!r} is not an import option", f"the options are {', '.join(OPTIONS)}"
             raise LogError(problem, rename(odd, OPTIONS, remedy))
         chosen = Options(**{name: value for name, value in given.items() if value is not None})
     return Side(values, chosen, source, bool(files or proposed))
@@ -115,7 +116,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
     """One rollout, or one per part if the import splits the log; raises `LogError` if the data are invalid."""
     if recording.strict and not side.found:
         remedy = f"write the metadata (joints, robot, mount, rate) to {side.source.name} beside it"
-        remedy += f", which `op3 import {path}` proposes"
+        remedy += f", or let `op3 import {path}` propose it"
         raise LogError("the sidecar is missing", remedy, source=side.source)
     guessed = _guessed(recording, side)
     meanings = guessed | _meanings(recording, side)
@@ -144,7 +145,7 @@ def roll_out(recording: Recording, side: Side, path: Path) -> list[Rollout]:
 
 
 def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
-    """Guessed meanings of columns, if none has a name of the wide CSV and the YAML describes no columns."""
+    """Guessed meanings of columns, for logs without names of the wide CSV and without columns in the YAML."""
     names = [name for stream in recording.streams for name in stream.columns]
     ours = any(known[0].axes == "joint" for known in map(place, names) if known)
     joints = side.metadata.get("joints")
@@ -154,7 +155,7 @@ def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
 
 
 def _guess_warning(guessed: Mapping[str, Column]) -> list[LogFinding]:
-    """A warning that the meanings of columns were guessed from their names only."""
+    """A warning that the meanings of columns were guessed only from their names."""
     read = [f"{name} as {column.name}" for name, column in guessed.items() if column.name]
     problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: names of columns were guessed"
     remedy = "write them under `columns:` in the YAML"
@@ -162,7 +163,7 @@ def _guess_warning(guessed: Mapping[str, Column]) -> list[LogFinding]:
 
 
 def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
-    """The format's meaning of a column, overridden by the user's."""
+    """The meaning of a column: the user's, otherwise that of the format."""
     meanings = dict(recording.columns)
     there = {name for stream in recording.streams for name in stream.columns}
     for name, entry in side.options.columns.items():
@@ -178,7 +179,7 @@ def _meanings(recording: Recording, side: Side) -> dict[str, Column]:
 
 
 def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, side: Side) -> Stream:
-    """The stream with the names of the wide CSV and SI units; columns without a meaning are refused or left out."""
+    """The stream with names of the wide CSV and SI units; columns without a meaning are rejected or omitted."""
     columns: Columns = {}
     for name, values in stream.columns.items():
         column = meanings.get(name, Column(name))
@@ -191,21 +192,21 @@ def _named(stream: Stream, meanings: dict[str, Column], recording: Recording, si
         if column.name in columns:
             raise LogError("the column appears twice", "keep one of the two", column=column.name, row="header")
         if values.shape != stream.time.shape:
-            problem = f"the column has {len(values)} rows and its clock {len(stream.time)}"
-            raise LogError(problem, "record the file again, or export it whole", column=name)
+            problem = f"the column has {len(values)} rows but its clock has {len(stream.time)}"
+            raise LogError(problem, "record the file again, or export it completely", column=name)
         size, shift = factor(column.unit, known[0].quantity, name) if column.unit is not None else (1.0, 0.0)
         scale, shift = column.sign * size, shift + column.offset
         columns[column.name] = values if scale == 1 and not shift else scale * values + shift
     if recording.strict and "time" not in columns:
-        remedy = "add time [s], or name the column of the time under `columns:`"
+        remedy = "add time [s], or name the time column under `columns:`"
         raise LogError("the required column is missing", remedy, column="time", row="header")
     return Stream(columns.pop("time", stream.time), columns)
 
 
 def _stamped_apart(stream: Stream) -> list[Stream]:
-    """A stream for each set of rows in which the same columns hold numbers: a blank cell means that the row is the time
-    stamp of other columns. A command holds until the next one, and after the last. If positions are in every row, other
-    blanks are missing values.
+    """A stream for each set of rows with numbers in the same columns, because a blank cell means that the row is a time
+    stamp of other columns. A command holds until the next one, and the last one stays. If every row has positions,
+    other blank cells are missing values.
     """
     there = {name: np.isfinite(values) for name, values in stream.columns.items()}
     apart = any(name.endswith(".position") and rows.mean() < 1 - _BLANK for name, rows in there.items())
@@ -239,13 +240,13 @@ def _unknown(name: str, position: int, side: Side) -> LogError:
 
 
 def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Columns]:
-    """All columns at those times of the first stream at which every stream has begun and none has ended.
+    """All columns at the times of the first stream that all streams cover.
 
-    Signals are interpolated, but not across a gap, in which they have no value. A command counts from the row nearest
-    to its time stamp, so that the error is at most half a row and zero on average.
+    Signals are interpolated, but have no value within a gap. A command applies from the row nearest to its time stamp,
+    so that the timing error is at most half a row and zero on average.
     """
     first, *others = streams
-    if split and not others:  # its parts are checked
+    if split and not others:  # the parts are checked instead
         return first.time, first.columns
     for stream in streams:
         check_time(stream.time)
@@ -261,7 +262,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
     inside = (first.time >= start - half) & (first.time <= end)
     if not inside.any():
         each = " and ".join(f"{s.time[0]:.6g} to {s.time[-1]:.6g} s" for s in streams)
-        remedy = "shift one of the clocks, by `offset:` of its time column, to a common start"
+        remedy = "shift one of the clocks with `offset:` of its time column to a common start"
         raise LogError(f"the time ranges of the clocks do not overlap: {each}", remedy, column="time")
     time = first.time[inside]
     columns = {name: values[inside] for name, values in first.columns.items()}
@@ -272,7 +273,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
         measured = next((name for name in stream.columns if name.endswith(".position")), None)
         if measured and lost.any():
             gap = holes(stream.time)[0]
-            problem = f"it has no value from {stream.time[gap - 1]:.6g} to {stream.time[gap]:.6g} s"
+            problem = f"the column has no value from {stream.time[gap - 1]:.6g} to {stream.time[gap]:.6g} s"
             raise LogError(problem, "remove this time span from all columns, or cut the log there", column=measured)
         for name, values in stream.columns.items():
             signal = np.where(lost, np.nan, np.interp(time, stream.time, values))
@@ -281,7 +282,7 @@ def _one_clock(streams: Sequence[Stream], split: bool) -> tuple[np.ndarray, Colu
 
 
 def _is_held(name: str) -> bool:
-    """Whether a column holds until it is stated again."""
+    """Whether a column holds its value until the next one."""
     return bool((known := place(name)) and known[0].hold)
 
 
@@ -297,7 +298,7 @@ def _rate(time: np.ndarray) -> float:
 
 
 def _joints(columns: Collection[str]) -> list[str]:
-    """Joints in the order of the columns; only those with a position, if any has one."""
+    """Joints in the order of the columns; if any joint has a position, only joints with a position."""
     found = (place(name) for name in columns)
     joints = list(dict.fromkeys(p[1] for p in found if p and p[0].axes == "joint"))
     measured = [joint for joint in joints if f"{joint}.position" in columns]
@@ -306,7 +307,7 @@ def _joints(columns: Collection[str]) -> list[str]:
 
 
 def _mend(columns: Columns, side: Side) -> None:
-    """Unwrap, shift and scale as the options state; changes `columns`."""
+    """Unwrap, shift and scale `columns` in place as the options state."""
     options, joints = side.options, _joints(columns)
     listed = options.unwrap if isinstance(options.unwrap, tuple) else joints if options.unwrap else []
     asked = (("unwrap", listed, joints), ("shift", options.shift, joints), ("scale", options.scale, columns))
@@ -317,9 +318,9 @@ def _mend(columns: Columns, side: Side) -> None:
                 raise LogError(f"{name} is not in the log", remedy, source=side.source, column=f"field {option}")
     if none := next((name for name, scale in options.scale.items() if scale == 0), None):
         problem = "a scale of 0 removes every value"
-        raise LogError(problem, "leave the column out", source=side.source, column=f"field scale.{none}")
+        raise LogError(problem, "omit the column", source=side.source, column=f"field scale.{none}")
     if wide := next((joint for joint, angle in options.shift.items() if abs(angle) > 4 * np.pi), None):
-        problem = f"{options.shift[wide]:g} rad is over two turns, as if it were in degrees"
+        problem = f"{options.shift[wide]:g} rad is more than two turns and looks like degrees"
         raise LogError(problem, "write it in radians", source=side.source, column=f"field shift.{wide}")
     for joint in dict.fromkeys([*listed, *options.shift]):
         names = [name for name in (f"{joint}.position", f"{joint}.target") if name in columns]
@@ -334,7 +335,7 @@ def _mend(columns: Columns, side: Side) -> None:
 def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> dict[Any, np.ndarray]:
     """Channels [time, last axis].
 
-    Joints that the log does not have, and incomplete channels, are refused if the log is strict, else left out.
+    If the log is strict, missing joints and incomplete channels are errors; otherwise they are omitted.
     """
     widths: dict[Any, int] = {}
     for name in columns:
@@ -347,7 +348,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
                 remedy = f"name its joint under `columns:` in the YAML, as in `<column>: {lacks[0]}`"
             raise LogError("unknown joint", remedy, column=name, row="header")
         if channel.axes == "vector":
-            # as many as there are is enough to name one that is missing
+            # a few names are enough to identify the missing joint
             widths[channel.key] = max(widths.get(channel.key, 0), min(int(where) + 1, len(columns) + 1))
     arrays: dict[Any, np.ndarray] = {}
     for key, channel in CHANNELS.items():
@@ -358,7 +359,7 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
             arrays[key] = np.stack([columns[name] for name in wanted], axis=-1)
         elif key != "time" and (channel.required or (there and strict)):
             problem = f"the column is missing, but {there} exists" if there else "the required column is missing"
-            remedy = f"give {key_name(key)} for all or for none" if there else f"add {key_name(key)} [{channel.unit}]"
+            remedy = f"give all joints {key_name(key)} or none" if there else f"add {key_name(key)} [{channel.unit}]"
             others = [n for n in columns if (found := place(n)) and found[0] == channel and n not in wanted]
             if others and channel.required:
                 problem = f"none of the columns {', '.join(others[:6])} belongs to {', '.join(metadata.joints[:6])}"
@@ -371,18 +372,18 @@ def _arrays(columns: Columns, metadata: Metadata, strict: bool, side: Side) -> d
 
 
 def _unshared(time: np.ndarray, streams: Sequence[Stream]) -> list[LogFinding]:
-    """A warning if the common time of all clocks is only a part of the recording."""
+    """A warning if the clocks overlap in only a part of the recording."""
     by_span = sorted(streams, key=lambda stream: float(np.ptp(stream.time)))
     shortest, (used, all_of_it) = by_span[0], (float(np.ptp(t)) for t in (time, by_span[-1].time))
-    problem = f"only {used:.4g} of {all_of_it:.4g} s have values of all clocks and are used: "
+    problem = f"only {used:.4g} of {all_of_it:.4g} s have values from all clocks and are used: "
     problem += f"{next(iter(shortest.columns), 'one')} runs from {shortest.time[0]:.4g} to {shortest.time[-1]:.4g} s"
-    remedy = "record all columns over the whole time"
+    remedy = "record all columns for the whole time"
     return [LogFinding(WARNING, problem, remedy, "time", check="shared time")] if used < 0.9 * all_of_it else []
 
 
 def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[LogFinding]:
-    """Columns that are excluded because cells hold no number; sets these cells to zero. Positions, commands and times
-    with such cells are unchanged, so that they are refused.
+    """Columns that are excluded because some cells contain no number; these cells are set to zero. Positions, commands
+    and times are unchanged, so that such cells are rejected later.
     """
     findings = []
     for key, values in arrays.items():
@@ -394,6 +395,6 @@ def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[LogFin
         for index in np.flatnonzero(empty.any(0) | (key[0] == "imu")):
             rows = empty.any(1) if key[0] == "imu" else empty[:, index]
             problem = f"{rows.sum()} of {len(values)} rows contain no number"
-            remedy = "the channel is not used; remove these rows, or fill them"
+            remedy = "remove these rows or fill them; until then the channel is not used"
             findings.append(LogFinding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
     return findings

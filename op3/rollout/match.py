@@ -13,9 +13,9 @@ from op3.rollout.units import likely_unit
 WINDOW, OVERLAP = (
     0.12,
     3,
-)  # time over which increments are compared, so that the steps of an encoder average out [s], and windows over it
-SURE = 0.9  # correlation above which one signal follows another, so that a factor and a sign mean something
-GIVES = 0.5  # no servo that holds its target yields by so much [rad]
+)  # time over which increments are compared, so that encoder steps average out [s], and windows in this time
+SURE = 0.9  # correlation above which one signal follows another, so that a factor and a sign are meaningful
+GIVES = 0.5  # larger than the deflection of any servo that holds its target [rad]
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Match:
     """Comparison of signals a with signals b.
 
     Attributes:
-        correlation: Of a's columns with b's, [a, b].
-        ratio: Size of a over size of b, [a, b]; with the sign of the correlation.
+        correlation: Correlation of a's columns with b's, [a, b].
+        ratio: Size of a relative to size of b, with the sign of the correlation, [a, b].
         size_a: Root mean square of a's columns.
-        size_b: The same for b.
+        size_b: Root mean square of b's columns.
     """
 
     correlation: np.ndarray
@@ -36,12 +36,12 @@ class Match:
 
     @property
     def own(self) -> np.ndarray:
-        """Correlation of each column of a with the same one of b."""
+        """Correlation of each column of a with the same column of b."""
         return np.diagonal(self.correlation)
 
 
 def match(a: np.ndarray, b: np.ndarray) -> Match:
-    """Compare signals [row, name] without their means."""
+    """Compare signals [row, name] after removing their means."""
     a, b = a - a.mean(0), b - b.mean(0)
     size_a, size_b = np.sqrt((a * a).mean(0)), np.sqrt((b * b).mean(0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -51,7 +51,7 @@ def match(a: np.ndarray, b: np.ndarray) -> Match:
 
 
 def fitted(causes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Weights with which causes [row, cause] fit values [row] best [cause]; NaN where numbers overflow."""
+    """Least-squares weights [cause] of causes [row, cause] for values [row]; NaN where numbers overflow."""
     sound = bool(np.isfinite(causes).all() and np.isfinite(values).all())
     return np.linalg.lstsq(causes, values)[0] if sound else np.full(causes.shape[1], np.nan)
 
@@ -62,7 +62,7 @@ def unexplained(values: np.ndarray, causes: np.ndarray) -> float:
 
 
 def as_if(*readings: tuple[str, float, str], tolerance: float = 0.05) -> str:
-    """The unit of values, in words: the first that fits, from their names, factors and SI units."""
+    """Text with the first unit that fits the values' names, factors and SI units."""
     units = ((who, likely_unit(ratio, unit, tolerance)) for who, ratio, unit in readings)
     return next((f", as if {who} were in {unit}" for who, unit in units if unit), "")
 
@@ -73,7 +73,7 @@ def is_unit(ratio: float | None) -> bool:
 
 
 def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
-    """Correlation of a [row] with b a number of rows earlier, or later if negative."""
+    """Correlation of a [row] with b shifted by a number of rows, positive for earlier rows of b."""
     if rows < 0:
         a, b, rows = b, a, -rows
     a, b = a[rows:] - a[rows:].mean(), b[: len(b) - rows] - b[: len(b) - rows].mean()
@@ -82,7 +82,7 @@ def delayed(a: np.ndarray, b: np.ndarray, rows: int) -> float:
 
 
 def delays(a: np.ndarray, b: np.ndarray, lags: Iterable[int]) -> np.ndarray:
-    """Correlation of a [row] with b a number of rows earlier, for each of these numbers [lag]."""
+    """Correlation of a [row] with b for several shifts [lag], positive for earlier rows of b."""
     return np.array([delayed(a, b, lag) for lag in lags])
 
 
@@ -96,12 +96,12 @@ def windows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Integral of rates [time, ...] from the first row on."""
+    """Integral of rates [time, ...] from the first row."""
     return np.asarray(cumulative_trapezoid(rate, time, axis=0, initial=0))
 
 
 def step(values: np.ndarray) -> np.ndarray:
-    """Resolution of the values of each column [row, name]: the step of their grid [name], or 0 without a grid."""
+    """Resolution of columns [row, name]: the grid step of each column's values [name], or 0 without a grid."""
     some = values[:: max(1, len(values) // 4000)]
     steps = np.zeros(some.shape[1])
     for i, column in enumerate(some.T):
@@ -115,7 +115,7 @@ def step(values: np.ndarray) -> np.ndarray:
 
 
 def runs(rows: np.ndarray) -> np.ndarray:
-    """First row of each run of true values [row], and the row after its last, [run, 2]."""
+    """First and end row of each run of true values [row], [run, 2]; the end row follows the run."""
     return np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
 
 

@@ -18,12 +18,12 @@ from op3.rollout.schema import RESERVED
 
 ROBOTS = ("simulated", "emulated", "real", "rig")
 HOLDING = ("stand", "pendulum")
-"""Mounts that carry the robot's weight, so that joints carry only their own limbs."""
+"""Mounts that support the robot's weight, so that joints only carry their limbs."""
 
 MOUNTS = ("floor", *HOLDING, "board", "board_weight", *(f"bricks_{kind}" for kind in "abcd"), "terrain")
 
 OUTCOMES = ("travelled_distance", "episode_duration", "fallen")
-"""Fields of which a batch of episodes may have one value each."""
+"""Fields with one value per episode in a batch."""
 
 _JOINT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _UNITS = {"rate": "Hz", "mass": "kg", "length": "m", "battery": "V", "policy_rate": "Hz"}
@@ -31,7 +31,7 @@ _UNITS |= {"travelled_distance": "m", "episode_duration": "s"}
 
 
 def _plain(value: Any) -> Any:
-    """Values as YAML returns them: numpy scalars and arrays, tuples, dates and paths become plain values."""
+    """Values as YAML loads them: numpy scalars and arrays, tuples, dates and paths become plain values."""
     if isinstance(value, Mapping):
         return {str(name): _plain(v) for name, v in value.items()}
     if isinstance(value, list | tuple):
@@ -51,9 +51,9 @@ def _tuple(value: Any) -> Any:
 
 
 def _wrong(name: str, wanted: str, value: Any) -> LogError:
-    """The error of a field, with its unit where it has one."""
+    """The error for a field's value, with the unit if there is one."""
     name = name.partition(".")[0]
-    wanted = {"above 0": "a positive number", "as it is described": "of another kind"}.get(wanted, wanted)
+    wanted = {"above 0": "a positive number", "as it is described": "a value of another type"}.get(wanted, wanted)
     wanted += f" [{_UNITS[name]}]" if name in _UNITS else ""
     return LogError(f"{shown(value)} is not {wanted}", f"write {wanted}", column=f"field {name}")
 
@@ -71,32 +71,32 @@ class Metadata:
 
     Attributes:
         joints: Joint names, in the order of every [joint] axis.
-        robot: What made the log: `simulated`, `emulated`, `real` or `rig` (a servo on a test bench).
-        mount: What holds the robot: `stand` or `pendulum`, or what it stands on: `floor`, `board`, `board_weight`,
-            `bricks_a` to `bricks_d` or `terrain`.
+        robot: Kind of robot: `simulated`, `emulated`, `real` or `rig` (a servo on a test bench).
+        mount: Support of the robot: `stand` or `pendulum`, or the ground: `floor`, `board`, `board_weight`, `bricks_a`
+            to `bricks_d` or `terrain`.
         rate: Rows per second [Hz].
         mass: Mass at the end of the pendulum [kg]; required for the pendulum.
         length: Distance from the servo's axis to that mass [m]; required for the pendulum.
         battery: Nominal supply voltage [V].
-        robot_file: The robot whose joints these are, a name in `assets/robots` or the path of its file; None: the OP3,
-            or the bench for a pendulum.
+        robot_file: The robot that has these joints: a name in `assets/robots` or the path of a robot file; None: the
+            OP3, or the bench for a pendulum.
         servo: Servo type, such as `xm430-w350` or `xl330`.
         firmware_gain: Proportional gain register of servos that close the loop themselves [firmware units].
         p_gain: Proportional gain of all joints if no column has gains [A/rad].
         d_gain: Derivative gain of all joints if no column has gains [A s/rad].
         policy_rate: Policy steps per second [Hz].
         motion: Name of the motion or trajectory.
-        recording: Id of the recording; logs of one session may share the part before a slash.
-        model_hash: Hash of the model file that made or drove the log.
-        git_hash: Commit of the code that made the log.
-        seed: Seed of every random number in the log.
-        date: When it was recorded, ISO 8601.
+        recording: Identifier of the recording; logs of one session may share the part before a slash.
+        model_hash: Hash of the model file that simulated or controlled the robot.
+        git_hash: Commit of the code that wrote the log.
+        seed: Seed of all random numbers in the log.
+        date: Date of the recording, ISO 8601.
         travelled_distance: Distance walked [m]; one number, or one per episode.
         episode_duration: Duration of the episode [s]; one number, or one per episode.
         fallen: Whether the robot fell; one truth value, or one per episode.
-        complete: False where a crash ended the recording before it was closed.
-        set_aside: Columns that do not hold what was measured, see `Rollout.measured`.
-        extra: Anything else, as plain YAML values.
+        complete: False if a crash interrupted the recording.
+        set_aside: Columns without valid measurements, see `Rollout.measured`.
+        extra: Further information as plain YAML values.
     """
 
     joints: Names
@@ -128,17 +128,17 @@ class Metadata:
     def __post_init__(self):
         for name in self.joints or (None,):
             if not isinstance(name, str) or not _JOINT_NAME.fullmatch(name) or name in RESERVED:
-                raise _wrong("joints", "a name of letters, digits, _ and -, and not imu, policy or raw", name)
+                raise _wrong("joints", "a name of letters, digits, _ and - other than imu, policy and raw", name)
             if self.joints.count(name) > 1:
                 raise LogError(f"joint {name} is listed twice", "list each joint once", column="field joints")
         for name, choices in (("robot", ROBOTS), ("mount", MOUNTS)):
-            own = name == "mount" and "." in str(self.mount)  # a scene of a user's own
+            own = name == "mount" and "." in str(self.mount)  # a scene from the user's module
             if getattr(self, name) not in choices and not own:
                 raise _wrong(name, "one of " + ", ".join(choices), getattr(self, name))
         for name in ("mass", "length"):
             if self.mount == "pendulum" and getattr(self, name) is None:
                 remedy = f"add `{name}: <value in {_UNITS[name]}>`"
-                raise LogError("a pendulum needs its mass and length", remedy, column=f"field {name}")
+                raise LogError("a pendulum needs mass and length", remedy, column=f"field {name}")
         try:
             datetime.datetime.fromisoformat(self.date or "2026-01-15")
         except ValueError:
@@ -158,8 +158,7 @@ class Metadata:
     def from_dict(
         cls, values: Mapping[str, Any], source: str | Path = "metadata", beside: Sequence[str] = ()
     ) -> Metadata:
-        """Build from plain values; missing and unknown fields are refused by name, with suggestions from `beside`
-        too."""
+        """Build from plain values; errors name missing and unknown fields, with suggestions also from `beside`."""
         known = [f.name for f in dataclasses.fields(cls)]
         with located(source=source):
             for name in values:

@@ -1,4 +1,4 @@
-"""Proposed names, units and signs for a log without a YAML, with reasons."""
+"""Proposes names, units and signs for a log without a YAML, with reasons."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from op3.rollout.schema import place
 
 
 def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[str, Column], list[str]]:
-    """Proposed metadata, meanings of all columns of a log, and doubts about them.
+    """Proposed metadata and column meanings of a log, and doubts about them.
 
     Args:
         path: Path of the log.
-        robot: Name or file of the robot, whose joints the columns are given; None: names stay as they are.
+        robot: Name or file of the robot whose joint names the columns get; None: names are unchanged.
     """
     found = reader_of(path).read(path)[0]
     if not isinstance(found, Recording):
@@ -45,10 +45,10 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
         columns = {name: _of_robot(column, known) for name, column in columns.items()}
         if not any(column.name and column.name.rpartition(".")[0] in known.joints for column in columns.values()):
             problem = f"it has none of the joints of {known.name}, which are {', '.join(known.joints)}"
-            remedy = "give the robot that made it; or import it without robot=, and correct the names in the YAML"
+            remedy = "give the robot that made the log, or import it without robot= and correct the names in the YAML"
             raise LogError(problem, remedy, source=path)
         there = {column.name.rpartition(".")[0] for column in columns.values() if column.name}
-        # its terms are in the columns
+        # its conventions are in the columns
         about |= {"joints": [joint for joint in known.joints if joint in there], "robot_file": known.reference}
     about = {name: value for name, value in about.items() if value not in (None, {}, [])}
     return about, columns, doubts + guessed
@@ -57,11 +57,10 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
 def _in_counts(
     columns: dict[str, Column], values: Mapping[str, np.ndarray], robot: Robot | None
 ) -> tuple[dict[str, Column], list[str]]:
-    """The columns, with angles in encoder counts converted, and the guesses about them.
+    """The columns with angles converted from encoder counts, and the guesses about them.
 
-    Whole numbers too large for an angle are counts. The robot's file states the servo; otherwise values around 2048
-    mean 4096 counts per turn, values around 512 mean 1024 counts in 300 degrees, and values around 32768 mean 16 bits
-    per turn.
+    Integers too large for an angle are counts. The robot file states the servo; otherwise values around 2048 mean 4096
+    counts per turn, values around 512 mean 1024 counts in 300 degrees, and values around 32768 mean 16 bits per turn.
     """
     kind = {name: str(column.name).rpartition(".")[2] for name, column in columns.items()}
     angles = {name for name in columns if kind[name] in ("position", "target")}
@@ -74,7 +73,7 @@ def _in_counts(
     small = numbers.max() < 1024 and numbers.min() >= 0 and 256 < np.median(numbers) < 768
     fine = numbers.max() < 2**16 and numbers.min() >= 0 and 2**14 < np.median(numbers) < 3 * 2**14
     unit = "counts of 1024 in 300 deg" if small else "counts of 65536 a turn" if fine else "counts of 4096 a turn"
-    found, why = dict(columns), f"whole numbers of {numbers.min():g} to {numbers.max():g}"
+    found, why = dict(columns), f"integers from {numbers.min():g} to {numbers.max():g}"
     for name, column in columns.items():
         joint = called(robot).get(str(column.name).rpartition(".")[0]) if robot and column.name else None
         make = robot.servo(joint) if robot and joint else None
@@ -87,8 +86,8 @@ def _in_counts(
     if robot is not None:
         return found, []
     others = "those of a servo with 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
-    assumed = f"{others}, near its middle" if small else f"{unit}, not {others}"
-    return found, [f"{why} are assumed to be {assumed}; write the servo's own `unit:` if it differs"]
+    assumed = f"{others}, with values near the middle" if small else f"{unit}, not {others}"
+    return found, [f"{why} are assumed to be {assumed}; write `unit:` if the servo's unit differs"]
 
 
 def _whole(values: np.ndarray) -> bool:
@@ -97,7 +96,7 @@ def _whole(values: np.ndarray) -> bool:
 
 
 def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
-    """The columns with the names of the robot's joints, by bus id, or in order if the file numbers as many joints."""
+    """The columns with the robot's joint names, assigned by bus id, or in order if the numbers of joints agree."""
     joints = {name: str(column.name).rpartition(".")[0] for name, column in columns.items() if column.name}
     numbers = {j: int(found[1]) for j in joints.values() if (found := re.fullmatch(r"(?:[A-Za-z]+_?)?(\d+)", j))}
     if len(numbers) != len(robot.joints) or numbers.keys() & called(robot).keys():
@@ -115,7 +114,7 @@ def _by_number(columns: dict[str, Column], robot: Robot) -> dict[str, Column]:
 
 
 def _of_robot(column: Column, robot: Robot) -> Column:
-    """The column with the robot's joint, and the sign, zero and unit that the robot's file gives its logs."""
+    """The column with the robot's joint name, and with sign, zero and unit from the robot file."""
     known = place(column.name) if column.name else None
     if known is None or known[0].axes != "joint" or known[1] not in called(robot):
         return column
@@ -129,11 +128,11 @@ def _of_robot(column: Column, robot: Robot) -> Column:
 
 
 def as_yaml(metadata: dict[str, Any], columns: dict[str, Column], doubts: Sequence[str] = ()) -> str:
-    """The text of the YAML that lies beside the log, for the user to correct."""
+    """The text of the YAML beside the log, which the user can correct."""
     options: dict[str, Any] = dict(default_flow_style=True, width=10**9, allow_unicode=True, sort_keys=False)
     lines = [yaml.safe_dump({name: value}, **options).strip()[1:-1] for name, value in metadata.items()]
     if columns:
-        lines.append("columns:  # column of the file: {name, unit, sign, offset [SI]}; null leaves it out")
+        lines.append("columns:  # column of the file: {name, unit, sign, offset [SI]}; null omits it")
     usual = dataclasses.asdict(Column())
     for name, column in columns.items():
         entry = {k: v for k, v in dataclasses.asdict(column).items() if k != "why" and v != usual[k]}

@@ -1,8 +1,8 @@
-"""The recorder: one fast call per control tick, and at most a second is lost if the process is killed.
+"""The recorder: one fast call per control tick; at most a second is lost if the process is killed.
 
-`append` only copies numbers into a buffer. A thread writes the buffer to `rows.bin` and forces it to the disk twice a
-second, so a slow disk never blocks the control loop. The file is one JSON line (the channels and their widths) followed
-by rows of float64, each with its time once more at its end; after a crash it is read up to the last complete row.
+`append` only copies numbers into a buffer. A thread flushes the buffer to `rows.bin` twice a second, so a slow disk
+never blocks the control loop. The file starts with one JSON line (channels and widths), followed by rows of float64
+that each end with a copy of their time. After a crash it is read up to the last complete row.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FLUSH_INTERVAL = 0.5
 
 
 class Recorder:
-    """Writes a rollout row by row, safe against crashes.
+    """Writes a rollout row by row so that a crash loses little.
 
     Use it as a context manager: leaving it normally closes the log; an exception leaves an incomplete log
     that `Rollout.load` reads. The first row fixes the channels.
@@ -67,13 +67,13 @@ class Recorder:
             self.abandon()
 
     def append(self, row: Mapping[Any, Any]) -> None:
-        """Add one row; raises `LogError`, and adds nothing, if the row cannot belong to the log.
+        """Add one row; an invalid row raises `LogError` and is not added.
 
         Args:
-            row: Values of every channel by key: a number for a scalar, else an array or tensor [joint] or [3].
+            row: Values of every channel by key: a number for a scalar, otherwise an array or tensor [joint] or [3].
         """
         if self._stop.is_set():
-            raise LogError("the recorder is closed", "open another one", source=self.folder)
+            raise LogError("the recorder is closed", "open a new recorder", source=self.folder)
         if self._failure is not None:
             problem = f"rows can no longer be written ({self._failure.strerror})"
             raise LogError(problem, "free disk space and record again", source=self.folder)
@@ -110,7 +110,7 @@ class Recorder:
         self._layout = layout
 
     def _fill(self, out: np.ndarray, row: dict[Key, Any]) -> None:
-        """Put a row's numbers into the packed row, and refuse what cannot belong to the log."""
+        """Copy the numbers of a row into the packed row; raise an error if they are invalid."""
         if row.keys() != self._layout.keys():
             names = ", ".join(sorted(key_name(key) for key in row.keys() ^ self._layout.keys()))
             problem = f"the row and the first row differ in {names}"
@@ -151,7 +151,7 @@ class Recorder:
             self._failure = error
 
     def abandon(self) -> None:
-        """Stop, and keep the rows written so far as an incomplete log."""
+        """Stop recording and keep the rows written so far as an incomplete log."""
         self._stop.set()
         self._thread.join()
         if not self._stream.closed:
@@ -162,17 +162,17 @@ class Recorder:
         """Finish the log and load it.
 
         Args:
-            changes: Metadata known only now, such as `fallen=True` or `travelled_distance=1.2`.
+            changes: Metadata known only at the end, such as `fallen=True` or `travelled_distance=1.2`.
         """
         if self._stop.is_set():
             raise LogError("the recorder is closed", "load the rollout from its folder", source=self.folder)
         self.abandon()
         if self._failure is not None:
             problem = f"rows could not be written ({self._failure.strerror})"
-            raise LogError(problem, "load the folder for what was saved", source=self.folder)
+            raise LogError(problem, "load the folder to recover the saved rows", source=self.folder)
         if self.rows == 0:
             shutil.rmtree(self.folder)
-            raise LogError("no row was recorded", "append rows before closing", source=self.folder)
+            raise LogError("no rows were recorded", "append rows before closing", source=self.folder)
         partial = Rollout.from_arrays(files.read_rows(self.folder / ROWS_FILE), self.metadata, self.folder)
         metadata = self.metadata.replace(**{**changes, "complete": True})
         write_folder(self.folder / DATA_FOLDER, lambda f: files.save_tensordict(partial.data, f))

@@ -1,4 +1,4 @@
-"""The robot and servo of a log, and conversion of external logs to the conventions of a robot's file."""
+"""The robot of a log, and conversion of external logs to the conventions of a robot file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from op3.rollout.schema import CHANNELS
 
 
 def called(robot: Robot) -> dict[str, str]:
-    """The robot's joints, by their names in its logs and by their own names."""
+    """The robot's joints, by their names in external logs and by their names in the robot file."""
     return {robot.log_channel(name)[0].name or name: name for name in robot.joints} | {n: n for n in robot.joints}
 
 
@@ -21,7 +21,7 @@ def in_its_terms(robot: Robot, joint: str, kind: str) -> tuple[int, float, float
     Args:
         robot: robot that made the log.
         joint: name of the joint.
-        kind: what stands after the joint in a column of the wide CSV.
+        kind: quantity in the column name of the wide CSV, after the joint.
     """
     channel, unit = robot.log_channel(joint)
     if kind in ("position", "target"):
@@ -32,11 +32,11 @@ def in_its_terms(robot: Robot, joint: str, kind: str) -> tuple[int, float, float
 
 
 def as_robot(log: Rollout, robot: Robot) -> Rollout:
-    """A log in the conventions of a robot: joints named and ordered as in its file, angles in rad from its zeros.
+    """A log in the conventions of a robot: joint names and order from its file, angles in rad from its zeros.
 
     Args:
-        log: as it was recorded, its joints called as here or as the robot's file says that its logs call them.
-        robot: that made it.
+        log: the recorded log, with the robot file's joint names or its names for external logs.
+        robot: robot that made the log.
 
     Raises:
         LogError: if the log has a joint that the robot does not have.
@@ -44,7 +44,7 @@ def as_robot(log: Rollout, robot: Robot) -> Rollout:
     known = called(robot)
     for joint in log.joints:
         if joint not in known:
-            remedy = rename(joint, known, f"rename it, or give its robot=; {robot.name} has {', '.join(robot.joints)}")
+            remedy = rename(joint, known, f"rename it, or name its robot=; {robot.name} has {', '.join(robot.joints)}")
             raise LogError("unknown joint", remedy, source=log.metadata.recording, column=joint)
     names = [known[joint] for joint in log.joints]
     order = np.argsort(robot.indices(names))
@@ -62,7 +62,7 @@ def as_robot(log: Rollout, robot: Robot) -> Rollout:
 
 
 def stand_tilt(log: Rollout) -> tuple[float, float] | None:
-    """Roll and pitch of the stand [rad], to a hundredth: by the IMU, else the ``tilt`` of the metadata's ``extra``.
+    """Roll and pitch of the stand [rad], rounded to 0.01: from the IMU, otherwise ``tilt`` in the metadata's ``extra``.
 
     Returns:
         None if neither exists.

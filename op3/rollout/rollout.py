@@ -39,7 +39,7 @@ class Rollout:
         data: TensorDict of batch size [time] or [episode, time] with the channels of `CHANNELS`, float64
             (`done` is bool), on the CPU.
         metadata: Everything except the samples.
-        findings: Findings of the checks, if they were made; see `op3.rollout.health`.
+        findings: Problems reported by the checks, if they ran; see `op3.rollout.health`.
 
     Construction checks shapes, dtypes, finite values and increasing time, and raises `LogError` otherwise.
     """
@@ -57,9 +57,9 @@ class Rollout:
 
         Args:
             arrays: Keys as in `CHANNELS` (also `"joint/position"`); values [time, ...] or
-                [episode, time, ...] of any number type. Scalar channels may leave out the last axis.
-            metadata: What is known besides the samples.
-            source: Named in errors.
+                [episode, time, ...] of any number type. Scalar channels may omit the last axis.
+            metadata: Everything except the samples.
+            source: Source of the log, named in errors.
         """
         tensors = {normal_key(key): _tensor(value) for key, value in arrays.items()}
         with located(source=source or metadata.recording):
@@ -83,23 +83,23 @@ class Rollout:
 
     @property
     def robot(self) -> Robot:
-        """The robot of these joints.
+        """The robot that has these joints.
 
         Raises:
-            LogError: if its file is missing or invalid, or does not have one of the joints.
+            LogError: if its file is missing or invalid, or lacks one of the joints.
         """
         robot = self.named_robot
         other = [joint for joint in self.joints if joint not in robot.joints]
         if other and self.metadata.mount != "pendulum":
             problem = f"{robot.name} has no joint {', '.join(other[:6])}"
-            remedy = "say which robot made the log, by robot=<name or file> or `robot_file` in its YAML"
+            remedy = "name the log's robot with robot=<name or file> or `robot_file` in its YAML"
             raise LogError(problem, remedy, source=self.metadata.recording)
         return robot
 
     @property
     def named_robot(self) -> Robot:
-        """The robot that the metadata name, whether it has these joints or not."""
-        # logs of the OP3 name no file
+        """The robot that the metadata name, whether or not it has these joints."""
+        # logs of the OP3 do not name a file
         name = self.metadata.robot_file or ("bench" if self.metadata.mount == "pendulum" else DEFAULT)
         try:
             return load_robot(name)
@@ -126,7 +126,7 @@ class Rollout:
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last row [s]; the longest, for a batch."""
+        """Time from the first to the last row [s]; for a batch, the longest time."""
         time = self.data["time"][..., 0]
         return float((time[..., -1] - time[..., 0]).max())
 
@@ -186,9 +186,9 @@ class Rollout:
         return tuple(self.episode(i) for i in range(self.data.batch_size[0])) if self.batched else (self,)
 
     def episode(self, index: int) -> Rollout:
-        """One log of a batch, with its own outcome (distance, duration, fall) in the metadata."""
+        """One log of a batch, with the distance, duration and fall of this episode in the metadata."""
         if not self.batched:
-            raise LogError("the log has no episode axis", "use it as it is", source=self.metadata.recording)
+            raise LogError("the log has no episode axis", "use it directly", source=self.metadata.recording)
         values = {name: getattr(self.metadata, name) for name in OUTCOMES}
         picked = {name: v[index] if isinstance(v, tuple) else v for name, v in values.items()}
         return dataclasses.replace(self, data=self.data[index], metadata=self.metadata.replace(**picked))
@@ -210,18 +210,18 @@ class Rollout:
 
         Args:
             source: Source of the log, named in errors.
-        said: File with the metadata, named in errors about these.
+        said: File with the metadata, named in errors about metadata.
 
         Returns:
-            The log with warnings in `findings`; unusable channels of joints are excluded, see `measured`. A channel
+            The log with warnings in `findings`. Unusable channels of joints are excluded, see `measured`; a channel
             that is unusable in all joints is removed.
         """
-        # the checks look at rollouts, so they import this module
+        # the checks import this module
         from op3.rollout.health import ERROR, examine, merge_findings
 
         source = source or self.metadata.recording
         findings = examine(self)
-        for finding in merge_findings([*self.findings, *findings]):  # the former are the reader's
+        for finding in merge_findings([*self.findings, *findings]):  # `self.findings` are from the reader
             where = said if said and str(finding.column).startswith("field ") else source
             if finding.severity == ERROR:
                 raise finding.error(where)
@@ -229,7 +229,7 @@ class Rollout:
         return self.with_findings(findings)
 
     def with_findings(self, findings: Sequence[Any]) -> Rollout:
-        """The log with findings, and with their columns excluded; see `measured`."""
+        """The log with these problems added and their columns excluded; see `measured`."""
         aside = {str(finding.column) for finding in findings if finding.set_aside}
         return dataclasses.replace(self._without(aside), findings=(*self.findings, *findings)) if findings else self
 
@@ -240,8 +240,8 @@ class Rollout:
     def _without(self, aside: set[str]) -> Rollout:
         """The log with these columns excluded.
 
-        They are filled with the command for a position, the derivative of position for a velocity, and the median of
-        the other joints otherwise, so that all values are finite. A vector of the trunk is removed as a whole.
+        To keep all values finite, a position is filled with the command, a velocity with the derivative of position,
+        and any other column with the median of the other joints. A trunk sensor's vector is removed completely.
         """
         if not aside:
             return self
@@ -267,13 +267,12 @@ class Rollout:
         """Write `metadata.yaml` and the memory-mapped TensorDict `data/` atomically.
 
         Args:
-            folder: New folder. One that holds a rollout is replaced only with `overwrite`; any other folder
-                is never touched.
-            overwrite: Whether a rollout already there is replaced.
+            folder: New folder. An existing rollout is replaced only with `overwrite`; other folders are never changed.
+            overwrite: Whether to replace an existing rollout.
         """
         folder = Path(folder)
         if folder.exists() and not (folder / METADATA_FILE).is_file():
-            raise LogError("it exists and is not a rollout", "choose another folder", source=folder)
+            raise LogError("the folder exists and is not a rollout", "choose another folder", source=folder)
 
         def fill(temporary: Path) -> None:
             files.save_tensordict(self.data, temporary / DATA_FOLDER)
@@ -286,8 +285,7 @@ class Rollout:
     def load(cls, folder: str | Path) -> Rollout:
         """Map a saved rollout into memory, copy-on-write.
 
-        A recording that a crash interrupted loads with every row that reached the disk; its metadata says
-        `complete: false`.
+        An interrupted recording loads with every saved row, and its metadata has `complete: false`.
         """
         folder = Path(folder)
         if not (folder / METADATA_FILE).is_file():
@@ -300,13 +298,13 @@ class Rollout:
             return cls(data, metadata)
 
     def to_csv(self, path: str | Path, overwrite: bool = False) -> Path:
-        """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` gives back the same numbers.
+        """Write a wide CSV and its sidecar `<name>.yaml`; `read_log` returns the same numbers.
 
         Each file is replaced atomically.
         """
         path = Path(path)
         if self.batched:
-            raise LogError("a CSV holds one episode", "write rollout.episode(i)", source=path)
+            raise LogError("a CSV contains one episode", "write rollout.episode(i)", source=path)
         if path.suffix != ".csv":
             raise LogError("the name does not end in .csv", "name the file <name>.csv", source=path)
         for file in (path, path.with_suffix(".yaml")):

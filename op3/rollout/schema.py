@@ -4,11 +4,12 @@ A log is a TensorDict of batch size [time] or [episode, time]. A row holds the s
 command issued at that time. Units are SI; orientation is R = Rz(yaw) Ry(pitch) Rx(roll); body rates and
 specific force (+9.81 m/s2 upwards at rest) are in the body frame. A channel that was not measured is absent.
 
-Policy channels change once per policy step. In a log whose rows are faster than the policy they are held
-between policy steps, and the metadata's `policy_rate` says how fast the policy was.
+Policy channels change once per policy step. If rows are more frequent, their values are held between policy steps, and
+the metadata's `policy_rate` states the rate of the policy.
 
-The `raw` group keeps what crossed the bus of a real or emulated robot, in whole register units, so that conversion,
-calibration, limits and lost replies can be checked from the log alone. Other code reads only the SI channels.
+The `raw` group contains the values on the bus of a real or emulated robot in integer register units, so that
+conversion, calibration, limits and lost replies can be checked from the log alone. Other code reads only the SI
+channels.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Key = str | tuple[str, str]
 """A TensorDict key: `"time"`, `("joint", "position")`."""
 
 RESERVED = ("imu", "policy", "raw")
-"""Groups of columns, which no joint may be called."""
+"""Names of column groups, which are not allowed as joint names."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +31,10 @@ class Quantity:
     """Physical quantity of a channel.
 
     Attributes:
-        unit: Unit, as printed in messages and tables; empty for pure numbers.
+        unit: Unit in messages and tables; empty for dimensionless numbers.
         bound: Largest plausible absolute value [unit]; beyond it the unit is wrong.
-        mistake: Likely mistake behind a value beyond the bound.
-        remedy: What to do about it.
+        mistake: Likely mistake if a value exceeds the bound.
+        remedy: How to correct the mistake.
         nonnegative: Whether values below zero are impossible.
         binary: Whether only 0 and 1 are possible.
     """
@@ -52,19 +53,19 @@ SECONDS = Quantity("s", nonnegative=True)
 ANGLE = Quantity("rad", 7.0, "looks like degrees", "convert angles to radians")
 RATE = Quantity("rad/s", 50.0, "looks like degrees per second or rpm", "convert angular velocities to rad/s")
 BODY_RATE = Quantity("rad/s", 60.0, RATE.mistake, RATE.remedy)
-FORCE = Quantity("m/s2", 1e5, "is beyond anything an accelerometer reads", "convert to m/s2")
-STIFFNESS = Quantity("A/rad", 100.0, _GAIN, "convert to A/rad or name the column <joint>.firmware_gain", True)
-DAMPING = Quantity("A s/rad", 100.0, _GAIN, "convert to A s/rad or leave the column out", True)
-_TOO_LARGE = "is beyond the largest Dynamixel gain register, 16383"
-FIRMWARE = Quantity("firmware units", 16383.0, _TOO_LARGE, "write the register's value", True)
-CURRENT = Quantity("A", 20.0, "looks like mA, or counts of a register", "divide by 1000, or write the size of a count")
+FORCE = Quantity("m/s2", 1e5, "exceeds the range of any accelerometer", "convert to m/s2")
+STIFFNESS = Quantity("A/rad", 100.0, _GAIN, "convert to A/rad or rename the column to <joint>.firmware_gain", True)
+DAMPING = Quantity("A s/rad", 100.0, _GAIN, "convert to A s/rad or omit the column", True)
+_TOO_LARGE = "exceeds the largest Dynamixel gain register, 16383"
+FIRMWARE = Quantity("firmware units", 16383.0, _TOO_LARGE, "write the raw register value", True)
+CURRENT = Quantity("A", 20.0, "looks like mA or register counts", "divide by 1000, or write `unit:` of the column")
 FULL_SCALE = "divide by the full scale (100, or 885 on X-series Dynamixels) so that full duty is 1"
 DUTY = Quantity("", 1.01, "looks like percent or a PWM register", FULL_SCALE)
 VOLTAGE = Quantity("V", 30.0, "looks like units of 0.1 V or mV", "convert to volts", True)
 _KELVIN = "subtract 273.15 to get degrees Celsius, or divide by 10"
 TEMPERATURE = Quantity("C", 150.0, "looks like kelvin, or units of 0.1 C", _KELVIN)
 SWITCH = Quantity(mistake="is not 0 or 1", remedy="write 0 for off and 1 for on", binary=True)
-BYTE = Quantity("bits", 255.0, "does not fit into one byte", "write the register's value", True)
+BYTE = Quantity("bits", 255.0, "does not fit into one byte", "write the raw register value", True)
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,11 @@ class Channel:
 
     Attributes:
         name: Key in the TensorDict, as text.
-        quantity: What it measures, with its unit and bounds.
-        column: CSV column; `{joint}`, `{axis}` and `{index}` stand for the last axis.
+        quantity: Measured quantity with unit and bounds.
+        column: CSV column; `{joint}`, `{axis}` and `{index}` are replaced by entries of the last axis.
         description: One sentence.
-        marks: `required` where every log has this channel; `hold` where the value holds until the next row (a command)
-            instead of being a sample of a signal.
+        marks: `required` if every log must have this channel; `hold` if the value holds until the next row, like a
+            command, instead of sampling a signal.
     """
 
     name: str
@@ -119,7 +120,7 @@ class Channel:
 
 
 def _register(unit: str) -> Quantity:
-    return Quantity(unit, float(2**31), "does not fit into a register", "write the register's value, sign included")
+    return Quantity(unit, float(2**31), "does not fit into a register", "write the signed register value")
 
 
 def key_name(key: Key) -> str:
@@ -128,17 +129,17 @@ def key_name(key: Key) -> str:
 
 
 def normal_key(key: str | Iterable[str]) -> Key:
-    """A key in the form of the table; accepts `"joint/position"`, `("time",)` and lists."""
+    """A key as a tuple or text of the table; accepts `"joint/position"`, `("time",)` and lists."""
     parts = tuple(key.split("/")) if isinstance(key, str) else tuple(key)
     return parts[0] if len(parts) == 1 else parts  # type: ignore[return-value]
 
 
 _POLICY, _AMPERE, _HOLD = "held between policy steps.", _register("2.69 mA"), "hold"
-_DRIVES = "1 while the servo drives, 0 while it is switched off; present where it changes."
+_DRIVES = "1 while the servo drives, 0 while it is switched off; present in logs in which it changes."
 _FIRMWARE = "Proportional gain register of a servo that closes the position loop itself."
 _UPWARDS = "Specific force in the body frame, +9.81 m/s2 upwards at rest."
-_ANSWERED = "1 where the servo answered in this row; 0 where its values are those of an earlier row."
-_NINE = "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's own axes."
+_ANSWERED = "1 if the servo answered in this row; 0 if its values are from an earlier row."
+_NINE = "Nine IMU registers: gyro x, y, z, accelerometer x, y, z, roll, pitch, yaw, in the sensor's axes."
 _UNSHIFTED = "Present position register, without calibration offset."
 _LATENESS = "Delay of this row's tick after its deadline."
 
@@ -153,9 +154,7 @@ _TABLE = (
     Channel("joint/velocity", RATE, "{joint}.velocity", "Measured joint velocity."),
     Channel("joint/current", CURRENT, "{joint}.current", "Measured motor current."),
     Channel("joint/duty", DUTY, "{joint}.duty", "Measured PWM duty, -1 to 1."),
-    Channel(
-        "joint/load", Quantity("as recorded"), "{joint}.load", "Load or torque reading in the recorder's own unit."
-    ),
+    Channel("joint/load", Quantity("as recorded"), "{joint}.load", "Load or torque reading in the recorder's unit."),
     Channel("joint/voltage", VOLTAGE, "{joint}.voltage", "Measured supply voltage at the servo."),
     Channel("joint/temperature", TEMPERATURE, "{joint}.temperature", "Measured servo temperature."),
     Channel("imu/orientation", ANGLE, "imu.{axis}", "Roll, pitch, yaw of the trunk."),
@@ -165,7 +164,7 @@ _TABLE = (
     Channel("policy/action", NUMBER, "policy.action_{index}", f"Action of the policy, {_POLICY}", _HOLD),
     Channel("policy/reward", NUMBER, "policy.reward", f"Reward of the policy step, {_POLICY}", _HOLD),
     Channel(
-        "raw/goal_current", _AMPERE, "{joint}.raw_goal_current", "Goal current last sent, after every limit.", _HOLD
+        "raw/goal_current", _AMPERE, "{joint}.raw_goal_current", "Last goal current sent, after all limits.", _HOLD
     ),
     Channel("raw/current", _AMPERE, "{joint}.raw_current", "Present current register."),
     Channel("raw/velocity", _register("0.229 rpm"), "{joint}.raw_velocity", "Present velocity register."),
@@ -178,7 +177,7 @@ _TABLE = (
 )
 
 CHANNELS: dict[Key, Channel] = {channel.key: channel for channel in _TABLE}
-"""Every channel a log may hold, by key and in CSV order."""
+"""Every channel that a log may contain, by key and in CSV order."""
 
 
 def column_names(channel: Channel, joints: Sequence[str], width: int | None = None) -> tuple[str, ...]:
@@ -209,7 +208,7 @@ COMMAND_CHANNELS = {
 }
 """Channels of a log that drive the simulation, and the simulation's input for each.
 
-Two of them are measured: the voltage of the bus, and the temperature of the servos."""
+Two of them are measured: the bus voltage and the servo temperatures."""
 
 
 _SUFFIXES = {channel.column.split(".", 1)[1]: channel for channel in _TABLE if channel.axes == "joint"}

@@ -1,4 +1,4 @@
-"""Units of logs, and identification of a unit by its factor.
+"""Units of logs, and identification of a unit from its factor.
 
 Registers: control tables of Dynamixel X, MX and XL series (ROBOTIS e-Manual) and of Feetech STS and HLS servos.
 """
@@ -46,7 +46,7 @@ UNITS: dict[str, dict[str, float]] = {
     "A/rad": {"A/rad": 1.0, "mA/rad": 1e-3, "A/deg": 1 / _DEG},
     "A s/rad": {"A s/rad": 1.0, "mA s/rad": 1e-3, "A s/deg": 1 / _DEG},
 }
-"""Sizes of units by the SI unit they belong to, the most usual first."""
+"""Sizes of units by SI unit, the most common unit first."""
 
 OFFSETS = {"K": -273.15, "F": -160 / 9}
 """Offsets of temperature units, added after the factor."""
@@ -66,9 +66,9 @@ def factor(unit: str | float, quantity: Quantity, column: str) -> tuple[float, f
     """Factor and offset that turn numbers in a unit into the quantity's SI unit.
 
     Args:
-        unit: Its name in `UNITS`, or its size in the SI unit as a number.
-        quantity: What is measured.
-        column: Named in the error.
+        unit: Name in `UNITS`, or the size of the unit in SI units as a number.
+        quantity: The measured quantity.
+        column: Column named in the error.
 
     Raises:
         LogError: if the unit is unknown or measures something else.
@@ -85,12 +85,12 @@ def factor(unit: str | float, quantity: Quantity, column: str) -> tuple[float, f
 
 
 def likely_unit(ratio: float, si_unit: str, tolerance: float = 0.12) -> str | None:
-    """The unit whose numbers are `ratio` times the SI value; None if no known unit is near.
+    """The unit whose numbers are `ratio` times the SI value; None if no known unit is close.
 
     Args:
-        ratio: Recorded number over the number in the SI unit.
+        ratio: Recorded number divided by the number in the SI unit.
         si_unit: Key of `UNITS`.
-        tolerance: Largest relative difference between the ratio and the unit's.
+        tolerance: Largest relative difference between `ratio` and the ratio of the unit.
     """
     if not 1e-12 < abs(ratio) < 1e12:
         return None
@@ -100,7 +100,7 @@ def likely_unit(ratio: float, si_unit: str, tolerance: float = 0.12) -> str | No
 
 
 def plausible_unit(value: float, si_unit: str, typical: float) -> tuple[str, float] | None:
-    """The unit in which a number is nearest to a typical value, with the number in SI; None if none is near."""
+    """The unit in which a number is closest to a typical value, with the number in SI; None if no unit is close."""
     sizes = [item for item in UNITS[si_unit].items() if item[0] not in ("in", "lb")]
     name, size = min(sizes, key=lambda item: abs(math.log(abs(value) * item[1] / typical)))
     return (name, value * size) if 0.02 < abs(value) * size / typical < 50 and size != 1 else None

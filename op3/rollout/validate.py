@@ -1,4 +1,4 @@
-"""Basic validity of every log, checked on construction: shapes, finite numbers, increasing time.
+"""Basic checks of every log on construction: shapes, finite numbers, increasing time.
 
 `op3.rollout.health` checks whether the values are plausible.
 """
@@ -23,16 +23,16 @@ INSTANT = 1e-9
 
 
 def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Metadata) -> None:
-    """Raise `LogError` unless channels have the shapes and values that the schema requires.
+    """Raise `LogError` if channels do not have the shapes and values that the schema requires.
 
     Args:
-        tensors: By key, [*batch, last axis].
+        tensors: Channels by key, [*batch, last axis].
         batch: [time] or [episode, time].
-        metadata: Gives the joint axis.
+        metadata: Metadata with the joint names.
     """
     batch = list(batch)
     if len(batch) not in (1, 2) or 0 in batch:
-        raise LogError(f"the batch size is {batch}", "shape the log [time] or [episode, time] with at least one row")
+        raise LogError(f"the batch size is {batch}", "use batch size [time] or [episode, time] with at least one row")
     for key in tensors:
         known_channel(key)
     for key, channel in CHANNELS.items():
@@ -46,14 +46,14 @@ def check_schema(tensors: Mapping[Key, Any], batch: Sequence[int], metadata: Met
     for name in OUTCOMES:
         value = getattr(metadata, name)
         if isinstance(value, tuple) and len(value) != episodes:
-            problem = f"{len(value)} values for {episodes or 'a log without'} episodes"
+            problem = f"there are {len(value)} values for {episodes or 'a log without'} episodes"
             raise LogError(problem, "give one value per episode, or one for all", column=f"field {name}")
     for episode, time in enumerate(by_episode(tensors["time"])[..., 0]):
         check_time(time, episode if episodes and episodes > 1 else None)
 
 
 def known_channel(key: Key) -> Channel:
-    """The channel of a key; raises `LogError` if there is none."""
+    """The channel of a key; raises `LogError` for an unknown key."""
     if key not in CHANNELS:
         known = ", ".join(key_name(k) for k in CHANNELS)
         raise LogError(f"unknown channel {key_name(key)!r}", f"the channels are {known}")
@@ -61,7 +61,7 @@ def known_channel(key: Key) -> Channel:
 
 
 def width_of(channel: Channel, metadata: Metadata) -> int | None:
-    """Length of a channel's last axis; None if it may have any length."""
+    """Length of a channel's last axis; None if any length is allowed."""
     return {"scalar": 1, "joint": len(metadata.joints), "imu3": 3}.get(channel.axes)
 
 
@@ -85,13 +85,13 @@ def _check_tensor(channel: Channel, value: object, batch: list[int], metadata: M
 
 
 def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, before: int = 0) -> None:
-    """Raise `LogError` unless every value [episode, time, last axis] is possible for the channel.
+    """Raise `LogError` if a value [episode, time, last axis] is impossible for the channel.
 
     Args:
         channel: Channel of the values.
-        values: Values, which follow `before` rows.
-        metadata: Gives the joint axis.
-        before: Rows.
+        values: Values to check.
+        metadata: Metadata with the joint names.
+        before: Number of rows before the values.
     """
     if values.dtype == bool:
         return
@@ -115,9 +115,9 @@ def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, befor
 
 
 def check_time(time: np.ndarray, episode: int | None = None) -> None:
-    """Raise `LogError` unless a clock [time] has readings, all finite and each later than the one before."""
+    """Raise `LogError` if a clock [time] is empty, not finite or not strictly increasing."""
     if not len(time):
-        raise LogError("there is no row", "record at least one", row="row 1")
+        raise LogError("there are no rows", "record at least one row", row="row 1")
     if not np.isfinite(time).all():
         row = int(np.isfinite(time).argmin()) + 1
         raise LogError("the time is not a finite number", "remove the row", column="time", row=row)
@@ -132,15 +132,15 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
             problem += f", as in {more} rows in total"
             remedy = "write times with more digits (float32 is too coarse for Unix time), or write each row once"
     else:
-        problem = f"time goes back from {time[row]:.10g} s to {time[row + 1]:.10g} s"
+        problem = f"time decreases from {time[row]:.10g} s to {time[row + 1]:.10g} s"
         remedy = "sort the rows, or write `split: true` into its YAML where a new recording starts"
         if -86400 <= steps[row] < -86340:
-            remedy = "it passed midnight: write dates as well, or add 86400 s to the times after it"
+            remedy = "the log passes midnight: write dates as well, or add 86400 s to the times after it"
     raise LogError(problem, remedy, column="time", row=row + 2, episode=episode)
 
 
 def holes(time: np.ndarray) -> np.ndarray:
-    """Rows before which time jumps, forward or back, counted from 0."""
+    """Rows before which time jumps forwards or backwards, counted from 0."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else 0.0
     return np.flatnonzero((steps > max(GAP_INTERVALS * usual, GAP)) | (steps < 0)) + 1

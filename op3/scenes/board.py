@@ -1,4 +1,4 @@
-"""The board under the robot: its motion as a function of time, the weight that tilts it, and how both are driven.
+"""The board under the robot: its motion as a function of time, the weight that tilts it, and their drives.
 
 A motion is a pure function of a seed and of time, so that every simulator of the scene drives the same board.
 Arrays may carry leading axes, one row per simulation.
@@ -35,17 +35,17 @@ TILT = np.deg2rad(6.0)
 """Tilt of the board in evaluation, and its stops under the weight [rad]; paper, 6 degrees."""
 
 WAVE_FREQUENCIES = (0.1, 0.8)
-"""Range of the frequencies of the random waves [Hz]; ours, the paper gives none.
+"""Range of the frequencies of the random waves [Hz]; op3's choice, because the paper gives none.
 
 Training must cover the fastest motion of a board: with waves of up to 0.6 Hz two of three policies fell when a
 weight tipped the board.
 """
 
 WAVE_PARTS = 3
-"""Sinusoids per axis; ours."""
+"""Number of sinusoids per axis; op3's choice."""
 
 RAMP = 1.0
-"""Time in which the waves grow from a level board to their full size [s]; ours."""
+"""Time in which the waves grow from a level board to their full size [s]; op3's choice."""
 
 WEIGHT_MASS = 1.0
 """[kg]"""
@@ -73,9 +73,9 @@ class Waves:
     """Sums of sinusoids that grow from a level board.
 
     Attributes:
-        amplitude: ``[..., axis, part]`` in rad; the axes are roll and pitch.
-        frequency: the same shape, in Hz.
-        phase: the same shape, in rad.
+        amplitude: amplitudes, ``[..., axis, part]`` in rad; the axes are roll and pitch.
+        frequency: frequencies of the same shape, in Hz.
+        phase: phases of the same shape, in rad.
     """
 
     amplitude: Array
@@ -84,7 +84,7 @@ class Waves:
 
     @classmethod
     def draw(cls, seed: int, amplitude: float = WAVE_AMPLITUDE) -> Waves:
-        """Waves of a seed: each axis gets a size up to an amplitude [rad], shared out among its parts."""
+        """Waves of a seed: each axis gets a size up to an amplitude [rad], which is divided among its parts."""
         rng = np.random.default_rng([seed, 11])
         shares = rng.dirichlet(np.ones(WAVE_PARTS), 2)
         size = rng.uniform(0.0, amplitude, (2, 1))
@@ -109,7 +109,7 @@ class Waves:
 
 @dataclass(frozen=True, eq=False)
 class Tilts:
-    """The pitch steps between +`TILT` and -`TILT`: level for a second, then to one side, to the other, and so on.
+    """Pitch steps between +`TILT` and -`TILT`: level for a second, then alternating sides.
 
     Attributes:
         side: +1 or -1, the side of the first tilt, ``[...]``.
@@ -123,7 +123,7 @@ class Tilts:
 
     @classmethod
     def draw(cls, seed: int) -> Tilts:
-        """Tilts of a seed; changes take 0.6 to 1.0 s and follow one another after 2 to 3 s (ours)."""
+        """Tilts of a seed; changes take 0.6 to 1.0 s and occur every 2 to 3 s (op3's choice)."""
         rng = np.random.default_rng([seed, 12])
         side = rng.choice([-1.0, 1.0])
         return cls(np.array(side), np.array(rng.uniform(0.6, 1.0)), np.array(rng.uniform(2.0, 3.0)))
@@ -144,7 +144,7 @@ M = TypeVar("M")
 
 
 def stack(motions: Sequence[M]) -> M:
-    """Many motions or schedules of one kind as one, with a leading axis."""
+    """Many motions or schedules of one kind, combined with a leading axis."""
     kind: Any = type(motions[0])
     return kind(*(np.stack([getattr(motion, field.name) for motion in motions]) for field in fields(kind)))
 
@@ -177,7 +177,7 @@ class BoardDrive:
 
 
 LOWERING_SPEED = 0.1
-"""Speed at which a hand lowers the weight [m/s]; ours."""
+"""Speed at which a hand lowers the weight [m/s]; op3's choice."""
 
 HAND_STIFFNESS = 200.0
 """Stiffness with which the hand holds the weight at its intended height [N/m]; it lets go within 0.5 s of touching the
@@ -188,24 +188,24 @@ _HAND_DAMPING = 2 * np.sqrt(HAND_STIFFNESS * WEIGHT_MASS)
 
 @dataclass(frozen=True, eq=False)
 class WeightSchedule:
-    """When the weight is lowered.
+    """The time at which the weight is lowered.
 
     Attributes:
-        start: when the hand begins to lower it [s], ``[...]``.
+        start: time at which the hand begins to lower the weight [s], ``[...]``.
     """
 
     start: Array
 
     @classmethod
     def draw(cls, seed: int) -> WeightSchedule:
-        """Between 4 and 5 s (ours)."""
+        """A start between 4 and 5 s (op3's choice)."""
         return cls(np.array(np.random.default_rng([seed, 13]).uniform(4.0, 5.0)))
 
 
 class WeightDrive:
     """The hand that lowers the weight of the scene "board_weight", once per control tick.
 
-    It holds the weight up like a spring and damper and cannot push it down, so the board takes the load over gently.
+    The hand holds the weight like a spring and damper and cannot push it down, so the board loads gradually.
     """
 
     def __init__(self, model: mujoco.MjModel):

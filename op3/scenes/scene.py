@@ -1,7 +1,7 @@
-"""Scenes: the robot on a floor, the robot in a stand, one servo on a bench.
+"""Scenes: the robot on a floor, the robot on a stand, one servo on a bench.
 
-A scene is an MJCF tree that stays open: servos, sensors and weights are added to `joints` or `mjcf_model`,
-then `compile` makes a MuJoCo model of whatever the tree holds at that moment.
+A scene is an editable MJCF tree: servos, sensors and weights are added to `joints` or `mjcf_model`; then `compile`
+builds a MuJoCo model from the current tree.
 """
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
@@ -43,18 +43,18 @@ SCENES: tuple[str, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One world, ready to be added to and compiled.
+    """An editable scene that can be compiled.
 
     Attributes:
-        arena: the composer arena that holds everything.
-        robot: the robot in it, None on the bench.
-        joints: hinge elements [joint] in the robot's order; of a robot without some limbs only those that are there.
-        name: one of `SCENES`, or of a user's own.
-        mount: how the robot is held, as logs call it: "stand", "pendulum" or what it stands on.
+        arena: the composer arena.
+        robot: the robot in the scene; None on the bench.
+        joints: hinge elements [joint] in the robot's order; if limbs are omitted, only the remaining joints.
+        name: one of `SCENES`, or the name of a user's scene.
+        mount: mount in the logs: "stand", "pendulum" or the ground.
         tilt_roll: roll of a fixed base in rad.
         tilt_pitch: pitch of a fixed base in rad, positive forward.
-        ground: full names of the geoms that feet meet; none on the bench.
-        ground_height: height of the ground's origin above the world's [m]; a board tilts about a point below it.
+        ground: full names of the geoms on which feet stand; empty on the bench.
+        ground_height: height of the ground's origin in the world [m]; a board tilts about a point below it.
         ground_pitch: pitch of the ground at the start in rad.
     """
 
@@ -81,7 +81,7 @@ class Scene:
 
     @property
     def robot_file(self) -> Robot:
-        """The robot in it as its file says; on the bench that of the pendulum."""
+        """The robot of the scene; on the bench, the pendulum's robot."""
         return load_robot("bench") if self.robot is None else self.robot.robot
 
     @property
@@ -93,8 +93,8 @@ class Scene:
     def mounted_specific_force(self) -> NDArray[np.float64]:
         """Reading of an accelerometer on a fixed base [xyz] in m/s^2, in the base's frame.
 
-        MuJoCo's own accelerometer reads zero on a body that cannot move, where a real one reads gravity, so a
-        log of the stand takes this instead of the sensor.
+        MuJoCo's accelerometer reads zero on a fixed body although a real one reads gravity, so logs on the stand use
+        this value instead.
         """
         if self.floating:
             raise ValueError(f"the base of scene {self.name!r} moves: read the sensor imu_accelerometer instead")
@@ -109,17 +109,17 @@ class Scene:
         return max(float(data.site(points[tip].full_identifier).xpos[0]) for tip in self.robot_file.inner_tips)
 
     def compile(self, visual: bool = True) -> mujoco.MjModel:
-        """A MuJoCo model of the tree as it is now. Every call recompiles.
+        """A MuJoCo model of the current tree. Every call recompiles.
 
         Args:
-            visual: whether geoms that only pictures show are in it. Without them the motion is identical and the
+            visual: whether to include purely visual geoms. Without them the motion is identical and the
                 simulation faster.
         """
         try:
             spec = mujoco.MjSpec.from_string(self.mjcf_model.to_xml_string(), assets=self.mjcf_model.get_assets())
             spec.compiler.discardvisual = not visual
             return exclude_neighbours(spec).compile()
-        except ValueError as error:  # of a scene of a user's own
+        except ValueError as error:  # from a user's scene
             raise ValueError(f"scene={self.name}: {' '.join(str(error).splitlines()[:2])}") from None
 
     def initial_qpos(
@@ -133,8 +133,8 @@ class Scene:
             pitch: pitch of a free trunk against the ground in rad, positive forward; None: the soles lie flat.
 
         Returns:
-            [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z), the joints, and then what
-            moves besides the robot; otherwise the joints alone.
+            [qpos]: with a free base the trunk's x, y, z in m, its quaternion (w, x, y, z), the joints, and then other
+            moving bodies; otherwise only the joints.
         """
         position = checked_angles(joint_position, len(self.joints))
         every = self.robot_file.configuration(position) if self.robot_file.unpowered else position
@@ -146,13 +146,13 @@ class Scene:
             return np.concatenate([*self._on_ground(height, roll, pitch), every, self._others()])
         if roll or pitch:
             raise ValueError(
-                f"the base of scene {self.name!r} is fixed, so it has no roll and pitch to start from; "
+                f"the base of scene {self.name!r} is fixed, so roll and pitch do not apply; "
                 "tilt the stand with build_scene('stand', robot, tilt_roll=..., tilt_pitch=...)"
             )
         return every.copy()
 
     def _on_ground(self, height: float, roll: float, pitch: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Place and quaternion of a trunk that is so high above the ground, and so tilted against it."""
+        """Position and quaternion of a trunk with this height above the ground and this tilt relative to it."""
         if not self.ground_pitch:
             return np.array([0.0, 0.0, self.ground_height + height]), quaternion(roll, pitch)
         turned = np.empty(4)
@@ -162,7 +162,7 @@ class Scene:
         return above, turned
 
     def _others(self) -> NDArray[np.float64]:
-        """The first positions of what moves besides the robot."""
+        """Initial positions of moving bodies other than the robot."""
         if self.name == "board":
             return np.zeros(2)
         if self.name == "board_weight":
@@ -193,8 +193,8 @@ def build_scene(
         robot: a robot, its name, or the path of its file; on the stand any, elsewhere one with soles.
         tilt_roll: roll of the stand in rad.
         tilt_pitch: pitch of the stand in rad, positive forward.
-        joints: on the stand, limbs without any of these are left out: with a fixed base the others do not feel them.
-            None: the whole robot.
+        joints: on the stand, limbs without any of these are omitted, because they do not affect the others with a fixed
+            base. None: the whole robot.
     """
     known = load_robot(robot)
     check_scene(name, known)
@@ -216,18 +216,18 @@ def build_scene(
 
 
 def check_scene(name: str, robot: Robot) -> None:
-    """Refuse an unknown scene, or one on which a robot cannot be put down."""
+    """Raise an error for an unknown scene, or a scene in which the robot cannot stand."""
     if name not in SCENES and "." not in name:
         raise ValueError(f"unknown scene {name!r}{nearest(name, SCENES)}, or give an MJCF file or package.function")
     if name not in ("stand", "bench") and not robot.sole_geoms:
         raise ValueError(
-            f"{robot.name} does not walk: the scene {name!r} needs soles, but its file names neither soles nor"
+            f"{robot.name} cannot stand: the scene {name!r} needs soles, but its file names neither soles nor"
             " colliding feet"
         )
 
 
 def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Element, ...]:
-    """Take limbs without any wanted joint from a robot, and return the joints of those that are left."""
+    """Remove limbs without any wanted joint from a robot, and return the remaining joints."""
     robot, joints = entity.robot, dict(zip(entity.robot.joints, entity.joints, strict=True))
     kept = robot.whole_limbs(wanted)
     for limb in robot.limbs:
@@ -238,7 +238,7 @@ def _without_limbs(entity: RobotEntity, wanted: Sequence[str]) -> tuple[mjcf.Ele
 
 
 def _own_scene(name: str, robot: Robot) -> Scene:
-    """A scene from a file or a function of a user's own."""
+    """A scene from a user's file or function."""
     if name.endswith(".xml"):
         if not Path(name).is_file():
             raise ValueError(f"scene={name}: there is no such file; correct the path")

@@ -53,8 +53,8 @@ def add_bricks(root: Any, name: str) -> None:
 
     Args:
         root: dm_control MJCF root with a default class "ground" and materials "brick" and "brick_high".
-        name: of `BRICK_SURFACES`. "bricks_a" is a regular pattern, "bricks_b" irregular, "bricks_c" irregular and
-            dense, "bricks_d" irregular with a second layer.
+        name: a name in `BRICK_SURFACES`. "bricks_a" is a regular pattern, "bricks_b" irregular, "bricks_c" irregular
+            and dense, "bricks_d" irregular with a second layer.
     """
     seed, filled, doubled = BRICK_SURFACES[name]
     rng = np.random.default_rng([seed, 21])

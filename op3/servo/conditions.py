@@ -1,8 +1,8 @@
 """Parameters that depend on a condition of the recording, such as the arm of a bench that was remounted.
 
 Their names contain the condition: ``encoder_offset@length=7e-2`` is the encoder offset of logs whose metadata field
-``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=elbow`` is that of one
-joint, in all logs.
+``length`` is 0.07. (Config keys are split at dots, hence ``7e-2``.) ``coulomb_friction@joint=elbow`` is the Coulomb
+friction of one joint in all logs.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ class Condition:
     """Condition on a log's metadata, or the choice of a joint.
 
     Attributes:
-        field: of the metadata, or `JOINT`.
+        field: field of the metadata, or `JOINT`.
         value: number or text that it must equal.
     """
 
@@ -28,14 +28,14 @@ class Condition:
 
     @property
     def joint(self) -> str | None:
-        """The joint that it selects; None if it selects logs."""
+        """The joint that the condition selects; None if it selects logs."""
         return str(self.value) if self.field == JOINT else None
 
     def holds(self, metadata: Mapping[str, Any]) -> bool:
         """Whether these metadata, by field, meet the condition.
 
         Raises:
-            ValueError: if there is no such field.
+            ValueError: if the metadata have no such field.
         """
         if self.field not in metadata:
             raise ValueError(f"condition {self}: no field {self.field!r}; there are {', '.join(metadata)}")
@@ -47,7 +47,7 @@ class Condition:
 
 
 def split_name(name: str) -> tuple[str, Condition | None]:
-    """The parameter of a name, and the condition under which it holds, if any.
+    """The parameter in a name, and its condition, if any.
 
     Raises:
         ValueError: if the part behind ``@`` is not ``field=value``.

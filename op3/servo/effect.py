@@ -1,4 +1,4 @@
-"""Base classes of effects: one physical law of a servo, body, sensor or floor is one small class.
+"""Base classes of effects: each physical law of a servo, body, sensor or floor is one small class.
 
 A robot model is a list of effects with parameter values. The same class serves simulation, identification,
 diagnosis and training; adding an effect is one class here and one test.
@@ -41,20 +41,20 @@ type_hints = cache(get_type_hints)
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """A parameter of an effect.
 
     Attributes:
-        name: unique over the whole catalogue.
+        name: name, unique within the catalogue.
         unit: SI unit, ``-`` for a ratio.
         low: smallest plausible value.
         high: largest plausible value.
-        nominal: a sensible first guess.
+        nominal: typical value, used as initial value.
         neutral: value at which the effect has no influence; None if there is no such value.
         per_joint: whether joints may differ; False for a quantity of the whole robot.
         least: smallest physically possible value.
         most: largest physically possible value.
-        text: what it is, in a sentence.
-        searched: whether it is searched together with its effect; others are fixed unless a config names them.
+        text: short description.
+        searched: whether it is searched with its effect by default; others are fixed unless a config names them.
         mirrored: whether it is an angle of the joint, which is mirrored in the joint on the other side.
     """
 
@@ -81,10 +81,10 @@ class Usual:
         spread: standard deviation among sound robots; a value far outside is a finding.
         wide: standard deviation of the baseline's prior.
         most: largest value that the baseline may take.
-        own: whether joints may differ.
+        own: whether each joint may have a different value.
         least: smallest value that the baseline may take, within the physically possible ones.
-        none: standard deviation about zero for models without the effect; None if such a model makes no statement
-            about it, as for sensors.
+        none: standard deviation about zero for models without the effect; None if such a model makes no statement about
+            it, for example for sensors.
         bench: whether it applies only to benches.
     """
 
@@ -104,9 +104,9 @@ class ModelEdit:
 
     Attributes:
         field: name of the ``mjModel`` array, for example ``dof_armature``.
-        target: which rows: the servo joints' degrees of freedom, the bodies that they move, the robot's base body, the
-            colliding geoms of its feet, those of the ground, or the one row of an option such as ``opt.gravity``. A
-            scene without feet or ground has none of these rows, and the edit has no effect.
+        target: edited rows: the servo joints' degrees of freedom, the bodies that they move, the robot's base body, the
+            colliding geoms of the feet or of the ground, or the only row of an option such as ``opt.gravity``. In a
+            scene without feet or ground, the edit has no effect on these.
         operation: whether the parameter replaces the compiled value, adds to it, or scales it by ``1 + parameter``; or
             ``turn``, which expresses a vector in a frame that is turned by the parameter [rad] about axis `column`.
         parameter: name of the parameter whose value is written.
@@ -129,11 +129,11 @@ Scope = Literal["robot", "shared", "joint", "side"]
 class Effect:
     """Base class of everything in the catalogue; `register` makes subclasses frozen dataclasses of their options.
 
-    The law of an effect is a few scalar functions of one joint, compiled with those of all others into one kernel; they
-    use no objects and allocate no memory. Each is a static method of ``(s, p)``: ``s`` holds the `SIGNALS` and the
-    effect's own ``memory``, ``p`` the parameters of the whole catalogue, neutral if their effect is off. Names of
-    memory, constants and options begin with the effect's name: ``s.lugre_bent``, ``p.motor_gear_ratio``. An option with
-    named choices is the index of the choice.
+    The law of an effect consists of a few scalar functions of one joint, which are compiled with those of all other
+    effects into one kernel; they use no objects and allocate no memory. Each is a static method of ``(s, p)``: ``s``
+    holds the `SIGNALS` and the effect's own ``memory``, ``p`` the parameters of the whole catalogue, neutral if their
+    effect is off. Names of memory, constants and options begin with the effect's name: ``s.lugre_bent``,
+    ``p.motor_gear_ratio``. An option with named choices is the index of the choice.
 
     | function | when it is called | it computes |
     |---|---|---|
@@ -163,16 +163,16 @@ class Effect:
         stage: when it acts.
         rank: order within the stage; effects of equal rank act in the order of their names.
         equation: the law in one line.
-        source: reference for the law.
-        parameters: its numbers.
+        source: reference of the law.
+        parameters: parameters of the effect.
         memory: names of its memory.
         constants: names of the constants that `prepare` computes.
         edits: its changes to the MuJoCo model.
         reads: signals that simulations fill only if an effect lists them.
-        commands: inputs that it requires.
+        commands: required inputs.
         secants: finite changes for screening, several where the effect is not local in its parameters.
-        fingerprint: how it shows in the residual, measured minus predicted.
-        confounders: other effects that may look like it.
+        fingerprint: signature in the residual (measured minus predicted).
+        confounders: other effects with similar signatures.
         separating_experiment: experiment that distinguishes it from them.
         scopes: possible scopes; always the whole robot for parameters that joints share.
         usual: usual values of parameters that every baseline fit includes.
@@ -180,8 +180,8 @@ class Effect:
         written: options with alternative forms of the same law, which are all tried; the name does not depend on the
             form.
         foreseeable: whether its influence in a short window can be predicted; that of lost packets cannot.
-        free_base: whether only a robot with a free base shows it.
-        both_sides: whether it is a difference between left and right, which logs of one side do not show.
+        free_base: whether only logs of a robot with a free base reveal it.
+        both_sides: whether it is a difference between left and right, which logs of one side do not reveal.
         acts_in: name of the effect whose functions also compute this one.
         stiff: whether its dynamics take milliseconds, so that simulations must not use longer steps than usual.
     """
@@ -212,10 +212,10 @@ class Effect:
     stiff: ClassVar[bool] = False
 
     def __post_init__(self):
-        """Refuse options of the wrong type: a misspelt form would choose another law.
+        """Raise an error for options of the wrong type, because a misspelt form would select another law.
 
         Raises:
-            ValueError: if an option is none of its choices, or not a finite number where one belongs.
+            ValueError: if an option is not one of its choices or not a finite number.
         """
         hints = type_hints(type(self))
         for option in self.options():
@@ -247,19 +247,19 @@ class Effect:
         """Change the readings of the trunk's IMU.
 
         Args:
-            values: parameters of the model, ``[sim, 1]`` those of the whole robot.
+            values: parameters of the model; parameters of the whole robot have the shape ``[sim, 1]``.
         """
 
     @classmethod
     def related(cls, names: Collection[str]) -> bool:
-        """Whether it is a confounder of one of some effects, or they of it."""
+        """Whether this effect and any of the given effects are confounders."""
         return bool(set(names) & set(cls.confounders)) or any(
             cls.name in _CATALOGUE[name].confounders for name in names
         )
 
     @classmethod
     def options(cls) -> tuple[str, ...]:
-        """Names of the constructor's keywords: constants that are not identified."""
+        """Names of the constructor's keywords, constants that are not identified."""
         return tuple(field.name for field in fields(cls))  # type: ignore[arg-type]
 
 

@@ -1,4 +1,4 @@
-"""All effects of the catalogue as one law of a joint, in machine code.
+"""All effects of the catalogue as one compiled law of a joint.
 
 The functions of all effects run in the order of their stages, each switched by a bit, so that one compiled kernel
 serves all combinations. The attributes of this module that `op3.servo.rows` and simulations call (`begin`, `drive`,
@@ -67,10 +67,10 @@ class Kernel:
     functions: Mapping[str, Any]
 
     def switches(self, effects: Sequence[Effect]) -> tuple[int, ...]:
-        """Bits that switch on these effects.
+        """Bit masks that switch on these effects.
 
         Raises:
-            ValueError: if one is not in the catalogue.
+            ValueError: if an effect is not in the catalogue.
         """
         words = [0] * (1 + (len(self.effects) - 1) // BITS)
         for effect in effects:
@@ -82,7 +82,7 @@ class Kernel:
         return tuple(words)
 
     def rows(self, effects: Sequence[Effect], clock: Periods, num_sims: int, num_joints: int) -> np.ndarray:
-        """Parameters ``[sim, joint]``, with the options of effects that are on and all else neutral."""
+        """Parameters ``[sim, joint]``, with the options of active effects and neutral values for everything else."""
         made = np.repeat(np.repeat(self.neutral, num_sims, 0), num_joints, 1)
         made["timestep"], made["period"] = clock.timestep, clock.period
         for effect in effects:

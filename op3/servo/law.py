@@ -1,4 +1,4 @@
-"""The laws of a geared servo as scalar functions, which effects share and tests compare with closed forms.
+"""The laws of a geared servo as scalar functions that effects share and tests compare with closed forms.
 
 SI units; torques are on the joint side of the gear. Equation numbers are those of Masuda & Takahashi, "Sim-to-Real
 Transfer of Compliant Bipedal Locomotion on Torque Sensor-Less Gear-Driven Humanoid" (2023).
@@ -33,7 +33,7 @@ def clip(value, low, high):
 
 @scalar
 def zones(motor_torque, load_torque, forward_efficiency, backward_efficiency):
-    """Whether the motor drives, else whether the load does, paper eq. (3); neither if they hold each other."""
+    """Whether the motor drives, and whether the load drives, paper eq. (3); neither if they hold each other."""
     forward = np.sign(forward_efficiency * motor_torque + load_torque) == np.sign(motor_torque)
     backward = np.sign(motor_torque + backward_efficiency * load_torque) == np.sign(load_torque)
     return forward, backward
@@ -44,8 +44,8 @@ def dte_brake(motor_torque, load_torque, forward_efficiency, backward_efficiency
     """Brake torque [N m] of directional transmission efficiency as printed, paper eq. (3).
 
     The printed second condition reads ``sign(tau_m + eta_bw tau_m) = sign(tau_a)``, which does not depend on the load;
-    it is implemented as ``sign(tau_m + eta_bw tau_a) = sign(tau_a)``. The rule looks at torques alone, so it adds
-    energy where the velocity opposes the dominating torque.
+    it is implemented as ``sign(tau_m + eta_bw tau_a) = sign(tau_a)``. The rule depends only on torques, so it adds
+    energy if the velocity opposes the dominating torque.
 
     Args:
         motor_torque: tau_m, joint side [N m].
@@ -69,9 +69,9 @@ def motor_leads(motor_torque, load_torque):
 
 @scalar
 def dte_passive_loss(motor_torque, load_torque, forward_efficiency, backward_efficiency):
-    """Bound [N m] on a friction that loses what eq. (3) loses but always opposes motion.
+    """Bound [N m] on a friction with the same loss as eq. (3) that always opposes motion.
 
-    As a friction it can stop the joint but never push it. It reproduces the antagonistic zone of eq. (3) exactly: a
+    As friction, it can stop the joint but never drive it. It reproduces the antagonistic zone of eq. (3) exactly: a
     held joint slips at ``|tau_m| = eta_bw |tau_a|``. Arguments as for `dte_brake`.
     """
     if motor_leads(motor_torque, load_torque):
@@ -81,7 +81,7 @@ def dte_passive_loss(motor_torque, load_torque, forward_efficiency, backward_eff
 
 @scalar
 def dte_power_loss(motor_torque, load_torque, direction, forward_efficiency, backward_efficiency):
-    """Bound [N m] on a friction that loses by the direction of power: torque arrives as eta_fw or as 1 / eta_bw.
+    """Bound [N m] on a friction whose loss depends on the direction of power: torque is scaled by eta_fw or 1 / eta_bw.
 
     Mesh efficiency of Pelchen, Schweiger & Otter (2002), constant over speed. `direction` has the sign of the motion;
     if it is zero, the larger torque decides. The other arguments are those of `dte_brake`.
@@ -118,7 +118,7 @@ def lifted_voltage(voltage, bus_voltage, lift, fade):
 
 @scalar
 def load_friction(motor_torque, load_torque, motor_share, load_share):
-    """Friction bound [N m] in proportion to the torque that the gear passes on: ``|lm tau_m - le tau_a|``.
+    """Friction bound [N m] proportional to the transmitted torque: ``|lm tau_m - le tau_a|``.
 
     Torques that oppose each other press the teeth together. Duclusaud et al. (2025), models M3 to M5.
     """
@@ -147,7 +147,7 @@ def acted(age, phase, steps, steps_per_tick):
     parameter, not a whole number of steps.
 
     Args:
-        age: ticks since it was sent.
+        age: ticks since the command was sent.
         phase: steps since the last tick.
         steps: latency, in simulation steps.
         steps_per_tick: control period, in simulation steps.
@@ -160,5 +160,5 @@ def acted(age, phase, steps, steps_per_tick):
 
 @scalar
 def lags_per_step(time_constant, timestep):
-    """Time constants of a first-order lag that pass in a step; nothing of a deviation is left after a thousand."""
+    """Step length in time constants of a first-order lag, limited to 1000, after which no deviation remains."""
     return timestep / max(time_constant, 1e-3 * timestep)

@@ -1,4 +1,4 @@
-"""Compiled functions without objects and allocations, which a GPU could also run."""
+"""Compiled functions without objects and allocations, which could also run on a GPU."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,17 +12,17 @@ INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "
 
 
 def scalar(function: Callable[..., Any]) -> Any:
-    """A function of numbers that compiled code and Python can call."""
+    """Decorator for a function of numbers that compiled code and Python can call."""
     return numba.njit(**OPTIONS)(function)
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """A function that only compiled code calls, always inlined, which halves the time to compile and to run."""
+    """Decorator for a function that only compiled code calls; inlining halves the time to compile and to run."""
     return numba.njit(**OPTIONS, **INNER)(function)
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """A function over arrays that Python calls, compiled at its first call and cached on disk if possible.
+    """Decorator for a function over arrays that Python calls, compiled at the first call, cached on disk if possible.
 
     The cache is valid while its source file and the law are unchanged; all other functions that it calls are in that
     file.

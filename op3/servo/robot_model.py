@@ -17,12 +17,12 @@ class Estimate:
     """A parameter's value with its 90 % interval, and the joints and conditions in which it differs.
 
     Attributes:
-        value: shared by all joints that `joints` does not name, in the parameter's unit.
+        value: value of all joints that are not in `joints`, in the parameter's unit.
         low: lower end of the interval; None without data.
         high: upper end of the interval.
-        joints: value per joint name, where it differs.
-        intervals: low and high ends of these, by joint name, where data have bounded them.
-        by: estimates for logs of one condition only, see `op3.servo.conditions`.
+        joints: values of joints that differ, by joint name.
+        intervals: low and high ends of the values in `joints`, by joint name, if known from data.
+        by: estimates for logs that meet a condition, see `op3.servo.conditions`.
     """
 
     value: float
@@ -35,13 +35,13 @@ class Estimate:
 
 @dataclass(frozen=True)
 class RobotModel:
-    """The list of effects that are on, with their parameter values.
+    """The active effects with their parameter values.
 
     Unknown names of parameters or effects raise a ValueError that lists the known ones.
 
     Attributes:
-        effects: each at most once.
-        estimates: by parameter name; parameters without an entry have their nominal value.
+        effects: active effects, each at most once.
+        estimates: estimates by parameter name; parameters without an entry have their nominal value.
         bus_voltage: battery or supply voltage [V] for logs without it.
         provenance: origin of the values: data, seed, date, loss.
     """
@@ -92,7 +92,7 @@ class RobotModel:
         return self.estimates[name].value if name in self.estimates else known[name].nominal
 
     def estimate(self, name: str) -> Estimate:
-        """A parameter's estimate, its nominal value where it has none; `name` may carry a condition or a joint."""
+        """A parameter's estimate, or its nominal value if there is none; `name` may contain a condition or a joint."""
         base, condition = split_name(name)
         shared = self.estimates.get(base, Estimate(self.value(base)))
         if condition is None:
@@ -133,7 +133,8 @@ class RobotModel:
         return values
 
     def with_values(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
-        """This model with other parameter values; a number replaces a shared value, or that of a condition or joint."""
+        """This model with changed parameter values; a number replaces a shared value, or that of a condition or
+        joint."""
         estimates = dict(self.estimates)
         for name, value in sorted(values.items(), key=lambda item: "@" in item[0]):  # shared values first
             base, condition = split_name(name)
@@ -145,7 +146,7 @@ class RobotModel:
         return replace(self, estimates=estimates)
 
     def moved(self, values: Mapping[str, float | Estimate]) -> "RobotModel":
-        """This model with other shared values; separate values of joints change too, see `for_joints`."""
+        """This model with changed shared values; separate values of joints change too, see `for_joints`."""
         kept = {}
         for name, value in values.items():
             made = value if isinstance(value, Estimate) else Estimate(float(value))
@@ -157,14 +158,14 @@ class RobotModel:
     def for_joints(self, name: str, values: Tensor, joints: Sequence[str]) -> Tensor:
         """The value of each joint for another shared value of a parameter, ``[candidate, joint]``.
 
-        A joint with a separate value keeps its ratio to the shared one, since servos differ by ratios; a joint without
-        the effect stays without it. If the shared value is zero or changes sign, the joint keeps its difference.
+        A joint with a separate value keeps its ratio to the shared value, because servos differ by ratios; a joint
+        without the effect stays without it. If the shared value is zero or changes sign, it keeps its difference.
 
         Args:
-            values: shared ones, ``[candidate]``.
+            values: shared values, ``[candidate]``.
 
         Returns:
-            ``[candidate, joint]``, or the unchanged values if no joint has a separate one.
+            ``[candidate, joint]``, or the unchanged values if no joint has a separate value.
         """
         estimate = self.estimate(name)
         if not estimate.joints:
@@ -179,7 +180,7 @@ class RobotModel:
         return torch.stack(columns, dim=1)
 
     def with_effect(self, effect: Effect, values: Mapping[str, float | Estimate] | None = None) -> "RobotModel":
-        """This model with one more effect, which replaces one of the same name."""
+        """This model with an additional effect, which replaces an effect of the same name."""
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect)).with_values(values or {})
 
@@ -194,7 +195,7 @@ class RobotModel:
 
 
 def _with_special(shared: Estimate, condition: Condition, special: Estimate) -> Estimate:
-    """An estimate with another value where a condition holds, or in one joint."""
+    """An estimate with another value for a condition or a joint."""
     joint = condition.joint
     if joint is None:
         return replace(shared, by={**shared.by, condition: special})
@@ -205,7 +206,7 @@ def _with_special(shared: Estimate, condition: Condition, special: Estimate) -> 
 
 
 def _check(known: Parameter, estimate: Estimate) -> None:
-    """Refuse physically impossible values, and invalid intervals."""
+    """Raise an error for physically impossible values and invalid intervals."""
     for value in (estimate.value, *estimate.joints.values()):
         if not known.least <= value <= known.most:
             allowed = (
@@ -213,7 +214,7 @@ def _check(known: Parameter, estimate: Estimate) -> None:
             )
             raise ValueError(f"{known.name} must be {allowed} {known.unit}, got {value!r}")
     for joint in estimate.intervals.keys() - estimate.joints.keys():
-        raise ValueError(f"{known.name}: there is an interval of joint {joint!r}, but no value")
+        raise ValueError(f"{known.name}: joint {joint!r} has an interval but no value; add the value")
     for low, high in ((estimate.low, estimate.high), *estimate.intervals.values()):
         if low is not None and high is not None and low > high:
             raise ValueError(f"{known.name}: the interval's lower end {low} is above its upper end {high}")

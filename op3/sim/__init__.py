@@ -1,4 +1,4 @@
-"""Robots stepped at 1 ms with the servo law between steps, many at once or one inside a composer task."""
+"""Simulation of robots with 1 ms steps and the servo law between steps, for many robots or one in a composer task."""
 
 from typing import TYPE_CHECKING
 

@@ -89,10 +89,10 @@ class BatchSimulation:
         return self._sensors
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
-        """Set parameters per simulation; those not named get the model's values.
+        """Set parameters per simulation; all others get the model's values.
 
         Args:
-            values: by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
+            values: values by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
 
         Raises:
             ValueError: if the model has no such parameter, or a shape does not fit.
@@ -123,10 +123,10 @@ class BatchSimulation:
 
         Args:
             qpos: full MuJoCo position, ``[nq]`` or ``[sim, nq]``.
-            commands: first commands, as for `command`; by default the joints' own positions.
+            commands: first commands, as for `command`; by default the joints' positions.
             qvel: full MuJoCo velocity, ``[nv]`` or ``[sim, nv]``.
-            measured: whether the joints' positions are readings of the sensors, which an encoder offset shifts;
-                each simulation then starts where its own sensors read them.
+            measured: whether the joints' positions are sensor readings, shifted by an encoder offset; each simulation
+                then starts where its sensors give these readings.
             rows: indices of the simulations that restart, between ticks; the others continue. Then `qpos`,
                 `qvel` and `commands` have one row for each of these. None: all.
 
@@ -157,7 +157,7 @@ class BatchSimulation:
         self.law.reset(ids)
 
     def command(self, **commands: Tensor) -> None:
-        """Set commands for the next ticks; those not named are held.
+        """Set commands for the next ticks; all others are held.
 
         Args:
             commands: any of ``position_target`` [rad], ``p_gain`` [A/rad], ``d_gain`` [A s/rad],
@@ -170,7 +170,7 @@ class BatchSimulation:
         set_commands(self.signals, commands)
 
     def push(self, torque: np.ndarray) -> None:
-        """Torque on the links, which acts on their servos as load, held until the next call or reset.
+        """Apply a torque to the links, which loads their servos, until the next call or reset.
 
         Args:
             torque: [N m], ``[sim, joint]``.
@@ -178,7 +178,7 @@ class BatchSimulation:
         self._state[3][:, self.ports.dof] = torque
 
     def advance(self) -> None:
-        """One control period: a tick of the law, then its simulation steps."""
+        """Simulate one control period: a tick of the law, then the simulation steps."""
         self._read()
         self.law.tick()
         for _ in range(self.substeps):
@@ -188,7 +188,8 @@ class BatchSimulation:
             self._read()
             if self.on_step is not None:
                 self.on_step()
-        # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning counters tell
+        # MuJoCo resets a diverging state and zeroes NaN controls without an exception; only its warning counters reveal
+        # it
         if self.batch.warning.any():
             self.failed |= torch.from_numpy(self.batch.warning.any((1, 2)))
 

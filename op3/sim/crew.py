@@ -1,4 +1,4 @@
-"""Objects of one kind in separate processes, each of which does a part of the work.
+"""Objects of one kind in separate processes that share the work.
 
 A batch of simulations leaves processors idle between physics steps; two halves in parallel do not.
 """
@@ -23,12 +23,12 @@ def processors() -> int:
 
 
 class Crew(Generic[T]):
-    """An object in this process, `worker`, and others in processes that start with the first work and end with this
-    one.
+    """An object in this process, `worker`, and others in processes that start with the first call and end with this
+    process.
 
     Args:
         make: makes the object; a function or class of a module, which is called in each process.
-        size: how many objects, that of this process included; 0 for as many as there are processors.
+        size: number of objects, including the one in this process; 0: one per processor.
     """
 
     def __init__(self, make: Callable[..., T], arguments: Mapping[str, Any], size: int = 0):
@@ -40,7 +40,7 @@ class Crew(Generic[T]):
         self._others: ProcessPoolExecutor | None = None
 
     def run(self, method: str, parts: Sequence[Mapping[str, Any]]) -> list[Any]:
-        """Call a method once per part, at most `size` of them, side by side.
+        """Call a method once per part in parallel, for at most `size` parts.
 
         Args:
             parts: keyword arguments of each call; the first is done here.
@@ -52,7 +52,7 @@ class Crew(Generic[T]):
             ChildProcessError: if another process ended before its work, or could not begin.
         """
         if not 0 < len(parts) <= self.size:
-            raise ValueError(f"a crew of {self.size} cannot do {len(parts)} parts at once")
+            raise ValueError(f"{self.size} processes cannot run {len(parts)} parts at once")
         if len(parts) > 1 and self._others is None:
             spawn = multiprocessing.get_context("spawn")  # a fork has the locks of threads without the threads
             self._others = ProcessPoolExecutor(self.size - 1, spawn, _begin, (self._recipe,))
@@ -80,7 +80,7 @@ def _begin(recipe: bytes) -> None:
 
 
 def _follow() -> None:
-    """End with the parent process, however that ends."""
+    """End the process when the parent process ends for any reason."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -13,7 +13,7 @@ from op3.servo.effects import LinkInertia, Motor
 from op3.sim.ports import ServoPorts
 
 ROTOR, LINK = Motor.edits[0], LinkInertia.edits[0]
-"""Changes that need no MuJoCo: the rotor's inertia, on the diagonal of the mass matrix, and a link's own inertia."""
+"""Changes that need no MuJoCo: the rotor's inertia, on the diagonal of the mass matrix, and a link's inertia."""
 
 
 def edited_fields(
@@ -28,11 +28,11 @@ def edited_fields(
 
     Args:
         model: compiled model, whose values the edits start from.
-        values: of parameters, ``[sim, joint]`` or ``[sim, 1]``.
+        values: values of parameters, ``[sim, joint]`` or ``[sim, 1]``.
         base_body: id of the base body, or -1.
 
     Raises:
-        ValueError: if an effect edits the base of a scene that has none.
+        ValueError: if an effect edits the base but the scene has none.
     """
     edited: dict[str, np.ndarray] = {}
     for effect in effects:
@@ -45,7 +45,7 @@ def edited_fields(
                 raise ValueError(f"effect {effect.name!r} changes the base body, but this scene has none")
             value = values[edit.parameter].numpy()
             rows = _rows(model, edit, ports, base_body)
-            if edit.per is not None:  # as compiled, so that the order of effects does not matter
+            if edit.per is not None:  # compiled values, so that the order of effects does not matter
                 value = value * np.asarray(getattr(model, edit.per))[None, rows]
             _carry_out(edit, edited[edit.field], rows, value)
     return {name: array[:, 0] if name.startswith("opt.") else array for name, array in edited.items()}
@@ -65,7 +65,7 @@ def _rows(model: mujoco.MjModel, edit: ModelEdit, ports: ServoPorts, base_body: 
     }
     if edit.target in one_of:
         return one_of[edit.target]
-    # what feet stand on: the floor, and boards that move; its priority makes it decide for both
+    # the ground: the floor and moving boards; its priority gives it precedence over the feet
     collides, roots = (model.geom_contype | model.geom_conaffinity) != 0, model.body_rootid
     return np.flatnonzero(collides & ~np.isin(roots[model.geom_bodyid], roots[ports.body]))
 

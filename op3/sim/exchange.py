@@ -10,7 +10,7 @@ from op3.servo.machine_code import entry
 
 @entry
 def read(s, at, forces, qpos, qvel, sensordata, applied):
-    """Joint state, what the outputs transmitted, and `forces` if asked for, into the signals ``[sim, joint]``.
+    """Copy joint states, transmitted torques and, if requested, `forces` into the signals ``[sim, joint]``.
 
     The sensors measure the servo's torque and the torque `applied` in addition, which is a load on the servo.
     """
@@ -25,14 +25,14 @@ def read(s, at, forces, qpos, qvel, sensordata, applied):
 
 @entry
 def hand_over(s, at, timestep, rotor, ctrl, armature, friction, failed):
-    """Torque, implicit damping and friction of the coming step to MuJoCo.
+    """Pass torque, implicit damping and friction of the next step to MuJoCo.
 
     Damping ``D`` is integrated implicitly as armature ``h D`` of that step, see `op3.sim.BatchSimulation`.
 
     Args:
         s: signals, ``[sim, joint]``.
         timestep: h [s].
-        rotor: the rotors' own inertia [kg m^2], ``[sim, joint]``.
+        rotor: inertia of the rotors [kg m^2], ``[sim, joint]``.
         failed: ``[sim]``, set if a value is not finite.
     """
     for i in range(s.shape[0]):

@@ -1,8 +1,8 @@
-"""Models of other simulators: conversion of a model to MuJoCo and BAM, and of BAM's and PACE's parameters to a model.
+"""Models of other simulators: converts models to MuJoCo and BAM, and parameters of BAM and PACE to models.
 
 BAM is Rhoban's library of servo models (github.com/Rhoban/bam); its JSON has one servo's parameters at the output.
 PACE identifies joints in Isaac Lab (github.com/leggedrobotics/pace-sim2real); its runs have `mean_<iteration>.pt`.
-mjlab and MuJoCo Playground take the MJCF as it is.
+mjlab and MuJoCo Playground read the MJCF unchanged.
 """
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
@@ -60,10 +60,10 @@ _FADES = {1.0: "exponential", 2.0: "gaussian"}
 
 
 def expressed(model: RobotModel, to: str) -> tuple[RobotModel, tuple[str, ...]]:
-    """The part of a model that a format can express, and the effects that it cannot.
+    """The part of a model that a format can represent, and the omitted effects.
 
     Args:
-        model: of any effects.
+        model: model with any effects.
         to: one of `EXPRESSES`.
     """
     lost = tuple(name for name in model.effect_names if name not in EXPRESSES[to])
@@ -74,15 +74,15 @@ def to_bam(model: RobotModel, servo: str, joint: str) -> dict[str, Any]:
     """BAM's parameters of one joint's servo.
 
     Args:
-        model: of a servo that closes its position loop itself.
-        servo: BAM's name of it.
-        joint: joint whose values are taken if joints differ.
+        model: model of a servo that closes its position loop itself.
+        servo: BAM's name of the servo.
+        joint: joint whose values are used if joints differ.
 
     Raises:
         ValueError: if the servo is current-controlled, for which BAM has no law.
     """
     if "position_servo" not in model.effect_names:
-        raise ValueError("to=bam: BAM models servos that close their position loop themselves; write to=mjcf")
+        raise ValueError("to=bam: BAM models servos that close their position loop themselves; use to=mjcf")
     on, values = set(model.effect_names), model.tensors([joint])
     found = {
         theirs: float(values[ours][0, 0])
@@ -102,7 +102,7 @@ def to_bam(model: RobotModel, servo: str, joint: str) -> dict[str, Any]:
 
 
 def from_bam(content: Mapping[str, Any]) -> RobotModel:
-    """A model of BAM's parameters; the gain of the servo's loop is that of its make.
+    """A model with BAM's parameters; the gain of the position loop is from the servo file.
 
     Raises:
         ValueError: if a parameter is missing or no number, or the servo is unknown.
@@ -133,14 +133,14 @@ def from_bam(content: Mapping[str, Any]) -> RobotModel:
 
 
 def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
-    """A robot's drive with PACE's results: armature, viscous and Coulomb friction and zeros by joint, and a delay.
+    """A robot's model with PACE's results: armature, viscous and Coulomb friction and zeros by joint, and a delay.
 
     PACE counts the delay in steps of its simulator, which are those of the data in its `config.pt`.
 
     Args:
-        path: `mean_<iteration>.pt`, or a folder of which the latest counts; `config.pt` lies there too.
-        base: of the robot's servos, whose drive is kept; PACE's is not in its files.
-        robot: whose joints are named.
+        path: `mean_<iteration>.pt`, or a folder, whose latest file is used; `config.pt` must be in the same folder.
+        base: model of the robot's servos, which supplies the drive, because PACE's files do not contain it.
+        robot: robot with these joints.
 
     Raises:
         ValueError: if a file is missing or not PACE's, or names other joints than the robot has.
@@ -178,10 +178,10 @@ def to_mjcf(model: RobotModel, robot: Robot, p_gain: float | None = None, d_gain
     """The robot's MJCF with armature, friction, damping and a position actuator in each joint with a servo.
 
     Args:
-        model: of its servos.
-        robot: whose joints are driven.
-        p_gain: of a loop outside of the servo [A/rad]; None: the servos close theirs.
-        d_gain: the same [A s/rad].
+        model: model of its servos.
+        robot: robot whose joints are driven.
+        p_gain: P gain of a loop outside the servo [A/rad]; None: the servos close their own loop.
+        d_gain: D gain of that loop [A s/rad].
 
     Raises:
         ValueError: if the servos are current-controlled and no gain is given.

@@ -19,7 +19,7 @@ from op3.sim.trunk_sensors import BaseBody, readings
 
 
 class GearedServo(composer.Entity):
-    """Geared servos on hinges of any robot; composer itself calls its hooks.
+    """Geared servos on hinges of any robot; composer calls the hooks.
 
         servos = GearedServo(robot.joints, model, base_body=robot.trunk)
         robot.attach(servos)
@@ -58,7 +58,7 @@ class GearedServo(composer.Entity):
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
-        """Empty: motors and sensors stand in the robot's own tree."""
+        """Empty: motors and sensors are in the robot's tree."""
         return self._mjcf_root
 
     def command(self, **commands: Any) -> None:
@@ -92,7 +92,7 @@ class GearedServo(composer.Entity):
         self._rotor = model.dof_armature[None, self.ports.dof].copy()
 
     def initialize_episode(self, physics: Any, random_state: Any) -> None:
-        """Start at rest under the commands given so far."""
+        """Start at rest with the commands set so far."""
         del random_state
         physics.model.ptr.dof_frictionloss[self.ports.dof] = 0.0
         physics.model.ptr.dof_armature[self.ports.dof] = self._rotor[0]

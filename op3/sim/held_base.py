@@ -1,4 +1,4 @@
-"""Robots and benches whose base is held: their dynamics along a measured motion, and contributions of edited bodies."""
+"""Robots and benches whose base is held: dynamics along a measured motion, and contributions of edited bodies."""
 
 import copy
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ class FixedBase:
         )
 
     def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> mujoco.MjModel | None:
-        """A sound robot but for one parameter of a joint, larger by `amount`; None if nothing changes for the limbs."""
+        """A sound robot with one parameter of a joint increased by `amount`; None if this does not affect the limbs."""
         known = model.parameters()
         sound = model.with_values({name: one.neutral for name, one in known.items() if one.neutral is not None})
         values = {
@@ -81,7 +81,7 @@ class FixedBase:
 
 @lru_cache(maxsize=64)
 def fixed_base(joints: tuple[str, ...], robot: str, tilt: tuple[float, float] = (0.0, 0.0)) -> FixedBase:
-    """The same, compiled once for logs of the same joints and tilt."""
+    """The limbs, compiled once for logs with the same joints and tilt."""
     return FixedBase(joints, robot, tilt)
 
 
@@ -90,8 +90,8 @@ class PendulumBase:
     """One servo with a weight on an arm: ``m (l^2 + k^2) a + m g l sin q``.
 
     Attributes:
-        mass: of the weight [kg].
-        length: of the arm [m].
+        mass: mass of the weight [kg].
+        length: length of the arm [m].
         gyration_squared: squared radius of gyration of the weight about itself [m^2].
     """
 
@@ -101,7 +101,7 @@ class PendulumBase:
 
     @property
     def mj_model(self) -> "PendulumBase":
-        """The sound bench, as `along` takes it."""
+        """The sound bench, for `along`."""
         return self
 
     def dynamics(self, position: np.ndarray, velocity: np.ndarray, radial_force: bool = False) -> TrajectoryDynamics:
@@ -111,7 +111,7 @@ class PendulumBase:
     def along(
         self, bench: "PendulumBase", position: np.ndarray, velocity: np.ndarray, radial_force: bool = False
     ) -> TrajectoryDynamics:
-        """Dynamics of this or an edited bench along a motion."""
+        """Dynamics along a motion, of this bench or an edited one."""
         moment = bench.mass * GRAVITY * bench.length
         inertia = bench.mass * (bench.length**2 + bench.gyration_squared)
         whole = np.ones((len(position), 1, 1))
@@ -121,7 +121,7 @@ class PendulumBase:
         return TrajectoryDynamics(inertia * whole, bias, gradient, 0.0 * whole, force, np.zeros((*force.shape, 3)))
 
     def changed(self, model: RobotModel, parameter: str, joint: int | None, amount: float) -> "PendulumBase | None":
-        """The bench but for one parameter, larger by `amount`; None if nothing changes for it."""
+        """The bench with one parameter increased by `amount`; None if this does not affect it."""
         del model, joint
         if parameter != LINK.parameter:
             return None

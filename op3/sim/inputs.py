@@ -12,11 +12,11 @@ COMMANDS = ("position_target", "p_gain", "d_gain", "firmware_gain", "torque_enab
 """Inputs of the servo law that are held between ticks."""
 
 REFERENCE_TEMPERATURE = 25.0
-"""Temperature assumed if none is measured [C]; a model's parameters are valid at it."""
+"""Temperature assumed without a measurement [C], at which a model's parameters are valid."""
 
 
 def steps_in(period: float, timestep: float) -> int:
-    """Steps of the simulation in a period [s]; a ValueError unless it is a multiple of the time step [s]."""
+    """Number of simulation steps in a period [s]; raises a ValueError if it is not a multiple of the time step [s]."""
     steps = round(period / timestep)
     if steps < 1 or abs(steps * timestep - period) > 1e-9:
         raise ValueError(f"control_period {period} s must be a multiple of the time step {timestep} s")
@@ -24,7 +24,7 @@ def steps_in(period: float, timestep: float) -> int:
 
 
 def fresh_start(signals: Signals, model: RobotModel, rows: Any = slice(None)) -> None:
-    """A start before any command: torque on, gains zero, the joints' own positions, voltage of the model, 25 C."""
+    """Initial inputs before any command: torque on, zero gains, the joints' positions, the model's voltage, 25 C."""
     for name in (*COMMANDS, "current", "time"):
         getattr(signals, name)[rows] = 0.0
     signals.position_target[rows] = signals.position[rows]
@@ -49,11 +49,11 @@ def set_commands(signals: Signals, commands: Mapping[str, Any], rows: Any = slic
 def expand_parameters(
     model: RobotModel, joints: Sequence[str], values: Mapping[str, Tensor | float], num_sims: int
 ) -> dict[str, Tensor]:
-    """All parameters of a model, ``[sim, joint]``, or ``[sim, 1]`` for those of the whole robot.
+    """All parameters of a model, ``[sim, joint]``, or ``[sim, 1]`` for parameters of the whole robot.
 
     Args:
-        model: gives the values that are not named.
-        values: by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
+        model: model with all other values.
+        values: values by parameter name, ``[sim]`` or ``[sim, joint]`` or a number.
 
     Raises:
         ValueError: if the model has no such parameter, or a shape does not fit.

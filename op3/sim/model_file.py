@@ -26,7 +26,7 @@ def save_model(model: RobotModel, path: str | Path) -> Path:
 
 
 def load_model(name_or_path: str | Path) -> RobotModel:
-    """Read a model from its file, BAM's JSON among them, or by a name from `model_names`.
+    """Read a model from a file, possibly BAM's JSON, or by a name in `model_names`.
 
     Raises:
         ValueError: if the file is not a model; the message names file, field and remedy.
@@ -36,7 +36,7 @@ def load_model(name_or_path: str | Path) -> RobotModel:
     content = read_yaml(path)
     try:
         if isinstance(content, Mapping) and "actuator" in content and "format" not in content:
-            from op3.sim.foreign_models import from_bam  # not read by all who simulate
+            from op3.sim.foreign_models import from_bam  # only imported if needed
 
             return from_bam(content)
         return from_dict(content)
@@ -95,13 +95,13 @@ def from_dict(content: Any) -> RobotModel:
 
 
 def _effect_from_plain(entry: Any, estimates: dict[str, Estimate]) -> Effect:
-    """The effect of an entry; its parameters are put among the estimates."""
+    """The effect of an entry; its parameters are added to the estimates."""
     entry = {entry: None} if isinstance(entry, str) else entry
     if not isinstance(entry, Mapping) or len(entry) != 1:
         raise ValueError(f"an entry of `effects` must be one `<effect>: {{...}}`, got {entry!r}")
     ((name, body),) = entry.items()
     if body is not None and not isinstance(body, Mapping):
-        raise ValueError(f"effect `{name}` must hold options and parameters by name, got {body!r}")
+        raise ValueError(f"effect `{name}` must contain options and parameters by name, got {body!r}")
     kind, options = effect_class(str(name)), {}
     parameters = sorted(p.name for p in kind.parameters)
     for key, value in (body or {}).items():
@@ -141,7 +141,7 @@ def _estimate_from_plain(where: str, value: Any) -> Estimate:
     }
     for joint, own in joints.items():
         if own.joints or own.by or (own.low is None) != (own.high is None):
-            raise ValueError(f"`{where}.joints.{joint}` must be a number or hold value, low and high")
+            raise ValueError(f"`{where}.joints.{joint}` must be a number or a mapping of value, low and high")
     special = {f"{where}@{condition}": v for condition, v in (value.get("by") or {}).items()}
     return Estimate(
         value=_number(where, value["value"]),

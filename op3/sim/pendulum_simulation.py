@@ -1,4 +1,4 @@
-"""Many pendulums on servos, stepped in closed form: the bench without a physics engine.
+"""Many pendulums on servos, stepped in closed form, without a physics engine.
 
 A pendulum on one hinge needs no constraint solver: friction is a bound on an impulse that may stop the joint and
 never reverse it. It steps an order of magnitude faster than one MuJoCo model per run, which pays when a fit simulates
@@ -29,9 +29,9 @@ class PendulumSimulation:
     ``J_l = m l^2 + m k^2``, the rotor's ``J_r`` and the motor's implicit damping ``D``; then ``q += h w``.
 
     Args:
-        model: effects and parameter values; effects of trunk or floor have no meaning here.
-        mass: of the weights [kg], ``[sim]``.
-        length: from shaft to weight [m], ``[sim]``.
+        model: effects and parameter values; effects of trunk or floor do not apply.
+        mass: mass of the weights [kg], ``[sim]``.
+        length: distance from shaft to weight [m], ``[sim]``.
         timestep: simulation step [s], in which a servo's own position loop runs once; a PD that commands current
             ticks every `op3.common.settings.CONTROL_PERIOD`.
 
@@ -47,7 +47,7 @@ class PendulumSimulation:
                 if edit not in (ROTOR, LINK):
                     raise ValueError(
                         f"effect {effect.name!r} changes {edit.field} of {edit.target}, which a bench does not have;"
-                        " leave the effect out, or give a model of one servo, such as model=rhoban_m1"
+                        " omit the effect, or use a model of one servo, such as model=rhoban_m1"
                     )
         self.model = model
         self.timestep = timestep
@@ -64,7 +64,7 @@ class PendulumSimulation:
         self.set_parameters({})
 
     def set_parameters(self, values: Mapping[str, Tensor | float]) -> None:
-        """Give parameters per simulation, as `op3.sim.BatchSimulation.set_parameters` does."""
+        """Set parameters per simulation, as `op3.sim.BatchSimulation.set_parameters` does."""
         self.parameters = expand_parameters(self.model, self.joint_names, values, self.num_sims)
         self.law.set(self.parameters)
         none = torch.zeros(self.num_sims, 1, dtype=torch.float64)
@@ -95,7 +95,7 @@ class PendulumSimulation:
         self.law.reset()
 
     def command(self, **commands: Any) -> None:
-        """Set commands for the steps to come; those not named are held."""
+        """Set commands for the next steps; all others are held."""
         set_commands(self.signals, commands)
 
     def advance(self) -> None:
@@ -119,8 +119,8 @@ def swing(s, body, step):
 
     Args:
         s: signals, ``[sim, 1]``.
-        body: mass [kg], length [m], inertia of the weight and that with the rotor [kg m^2], ``[sim, 4]``.
-        step: [s].
+        body: mass [kg], length [m], inertia of the weight, and total inertia with the rotor [kg m^2], ``[sim, 4]``.
+        step: step length [s].
     """
     for i in range(s.shape[0]):
         one = s[i, 0]
@@ -128,9 +128,9 @@ def swing(s, body, step):
         gravity = -mass * GRAVITY * length * sin(one.position)
         inertia = total + step * one.damping
         free = one.velocity + step * (one.applied_torque + gravity) / inertia
-        # friction takes up to its impulse from the speed and no more
+        # friction reduces the speed by at most its impulse
         velocity = copysign(np.maximum(abs(free) - step * one.friction_bound / inertia, 0.0), free)
-        # what the output transmits moves the link against gravity; the load on the servo is its reaction
+        # the transmitted torque moves the link against gravity; its reaction loads the servo
         acceleration = (velocity - one.velocity) / step
         one.load_torque = gravity - link * acceleration
         # the weight's acceleration along the arm and across it, less gravity's

@@ -31,7 +31,7 @@ def attach_servos(joints: Sequence[Any]) -> None:
         axis = (0.0, 0.0, 1.0) if joint.axis is None else joint.axis
         joint.solreffriction = SOLREF_FRICTION
         joint.solimpfriction = SOLIMP_FRICTION
-        # said outright, because a default class of the scene could say otherwise
+        # set explicitly, because a default class of the scene could override it
         joint.root.actuator.add(
             "motor", name=f"{joint.name}_servo", joint=joint, gear=[1.0], ctrllimited=False, forcelimited=False
         )
@@ -39,7 +39,7 @@ def attach_servos(joints: Sequence[Any]) -> None:
         site = joint.parent.add("site", name=f"{joint.name}_output", pos=position, zaxis=axis, group=4)
         sites.append(site)
         joint.root.sensor.add("torque", name=f"{joint.name}_transmitted", site=site)
-    # behind all torque sensors, so that those stay one block
+    # after all torque sensors, which must stay one block
     for joint, site in zip(joints, sites, strict=True):
         joint.root.sensor.add("force", name=f"{joint.name}_force", site=site)
 

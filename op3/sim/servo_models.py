@@ -1,4 +1,4 @@
-"""An initial model for any robot: values of its servo makes, and guesses for missing ones."""
+"""An initial model for any robot: values from its servo files, and guesses for missing values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EFFICIENCY = 0.8
 
 
 def servo_model(robot: Robot) -> RobotModel:
-    """Drive, gear and friction of a robot's servos, with values per joint where makes differ."""
+    """Drive, gear and friction of a robot's servos, with separate values for joints of different makes."""
     makes = robot.servos
     first = makes[0]
     late = {"signal": "goal"} if first.loop == "firmware" else {}
@@ -38,7 +38,7 @@ def servo_model(robot: Robot) -> RobotModel:
 
 
 def model_for(robot: Robot, name: str | Path | None = None) -> RobotModel:
-    """The model of this name, file or run of PACE; else that of the robot's file, else one made of its servos."""
+    """The model with this name, file or PACE run; otherwise the robot file's or one from its servo files."""
     chosen = name or robot.file.law
     if chosen and (Path(chosen).suffix == ".pt" or (Path(chosen) / "config.pt").is_file()):
         from op3.sim.foreign_models import from_pace  # not read by all who simulate
@@ -52,7 +52,7 @@ def _effect(name: str) -> Effect:
 
 
 def _law(make: ServoMake):
-    assert make.position_law is not None  # its file was refused otherwise
+    assert make.position_law is not None  # otherwise its file is invalid
     return make.position_law
 
 
@@ -67,7 +67,7 @@ def _drive(make: ServoMake) -> list[Effect]:
 
 
 def _constants(first: ServoMake):
-    """Parameters of motor and friction, and how each follows from a make; the gear ratio is that of the first."""
+    """Motor and friction parameters as functions of a make; the gear ratio is from the first make."""
     ratio = first.motor.gear_ratio.si
     return {
         "torque_constant": lambda make: make.output_constant / ratio,

@@ -23,11 +23,11 @@ class TrajectoryDynamics:
     Attributes:
         mass: mass matrix of the joints [kg m^2], ``[tick, joint, joint]``.
         bias: gravity, velocity products and passive torques h [N m], ``[tick, joint]``.
-        gradient: derivative of the bias by the joint angles [N m/rad], ``[tick, joint, joint]``.
-        damping: derivative of the bias by the joint velocities [N m s/rad], ``[tick, joint, joint]``.
-        radial_force: across the output shafts at zero acceleration [N], ``[tick, joint]``.
-        carried: torque per angular acceleration of the body that carries the limbs, about its own frame and in its
-            axes [kg m^2], ``[tick, joint, 3]``.
+        gradient: derivative of the bias with respect to the joint angles [N m/rad], ``[tick, joint, joint]``.
+        damping: derivative of the bias with respect to the joint velocities [N m s/rad], ``[tick, joint, joint]``.
+        radial_force: force across the output shafts at zero acceleration [N], ``[tick, joint]``.
+        carried: torque per angular acceleration of the body that carries the limbs, in that body's frame [kg m^2],
+            ``[tick, joint, 3]``.
     """
 
     mass: np.ndarray
@@ -49,13 +49,13 @@ def trajectory_dynamics(
     radial_force: bool = False,
     derivatives: bool = True,
 ) -> TrajectoryDynamics:
-    """Dynamics of some joints of a fixed-base scene, the others held.
+    """Dynamics of some joints of a fixed-base scene while the others are held.
 
     Args:
         model: compiled scene with servos attached and a fixed base.
         joints: full names of the joints that move, in the order of the columns.
-        position: their angles [rad], ``[tick, joint]``.
-        velocity: their velocities [rad/s], ``[tick, joint]``.
+        position: joint angles [rad], ``[tick, joint]``.
+        velocity: joint velocities [rad/s], ``[tick, joint]``.
         qpos: full position in which the other joints are held, ``[nq]``.
         base: number of the body that carries the limbs.
         radial_force: whether to compute the radial force, which needs a further pass.
@@ -140,9 +140,9 @@ def _carried(axes: np.ndarray, inertia: np.ndarray, arm: np.ndarray) -> np.ndarr
     base.
 
     Args:
-        axes: of the joints, as spatial vectors about one point, ``[tick, joint, 6]``.
-        inertia: composite, as MuJoCo packs it about the same point, ``[tick, joint, 10]``.
-        arm: from the base's frame to that point [m], ``[tick, 3]``.
+        axes: axes of the joints, as spatial vectors about one point, ``[tick, joint, 6]``.
+        inertia: composite inertia about the same point in MuJoCo's format, ``[tick, joint, 10]``.
+        arm: vector from the base's frame to that point [m], ``[tick, 3]``.
     """
     xx, yy, zz, xy, xz, yz, x, y, z, mass = np.moveaxis(inertia, -1, 0)
     whole = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(*mass.shape, 3, 3)

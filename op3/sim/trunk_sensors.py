@@ -15,7 +15,7 @@ class BaseBody:
     """The robot's base body in a compiled model.
 
     Attributes:
-        body: its id.
+        body: id of the body.
         qpos: address of its free joint in ``qpos``; None where the base is fixed.
         dof: address of its free joint in ``qvel``; None where the base is fixed.
     """
@@ -26,7 +26,7 @@ class BaseBody:
 
     @classmethod
     def find(cls, model: mujoco.MjModel, body: int) -> "BaseBody":
-        """Look the base up; its free joint may belong to a frame that it is welded to."""
+        """Look up the base; its free joint may belong to a frame to which it is welded."""
         root = model.body_rootid[body]
         if model.body_dofnum[root] != 6:
             return cls(body, None, None)
@@ -57,10 +57,10 @@ def readings(law: Servos, trunk: Trunk | None = None) -> dict[tuple[str, str], T
 
 
 def undo_sensing(law: Servos, reading: Tensor) -> Tensor:
-    """Joint positions at which the sensors read these [rad], ``[sim, joint]``."""
+    """Joint positions at which the sensors give these readings [rad], ``[sim, joint]``."""
     signals = law.signals
     signals.position, signals.velocity = reading, 0.0
-    for _ in range(3):  # exact after one round for an offset; more for a reading that bends with the angle
+    for _ in range(3):  # one round is exact for an offset; nonlinear readings need more
         law.sense()
         signals.position += reading - signals.measured_position
     return signals.position

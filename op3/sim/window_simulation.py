@@ -1,4 +1,4 @@
-"""Short simulations around a measured motion: many hypotheses, many windows, no MuJoCo in the loop.
+"""Short simulations around a measured motion: many hypotheses and many windows, without MuJoCo in the loop.
 
 A robot on a stand that is simulated from its measured state for a fifth of a second stays close to the measurement. The
 mass matrix and the bias are therefore computed once along the measured motion, and each window solves, per step ``h``
@@ -6,10 +6,10 @@ and with the one servo law,
 
 ``(M + armature + h D) (w' - w) = h (tau - bias - friction)``,  friction in [-bound, bound], opposing w',
 
-the bias corrected to first order by how far the window has left the measurement. Friction in several coupled joints is
-a convex problem (minimise the kinetic distance plus ``h bound |w'|``); it is solved by sweeps over the joints, each
-of which is exact for its joint and leaves a held joint at exactly zero speed. Sweeps start from the last acceleration,
-so a few are enough.
+with the bias corrected to first order for the deviation of the window from the measurement. Friction in several coupled
+joints is a convex problem (minimise the kinetic distance plus ``h bound |w'|``); it is solved by sweeps over the
+joints; each update is exact for its joint and keeps a held joint at exactly zero speed. Sweeps start from the last
+acceleration, so a few are enough.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class MeasuredMotion:
         position: estimate of the true joint angles, without noise [rad], ``[tick, joint]``.
         velocity: estimate of the joint velocities [rad/s].
         acceleration: estimate of the joint accelerations [rad/s2].
-        read_position: what the controller read [rad]; NaN where the loop is closed in the servo, on what it senses.
-        read_velocity: velocity as the controller read it [rad/s].
-        current: in the motors, as far as known [A].
-        time: since the start of the recording [s], ``[tick, 1]``.
+        read_position: position read by the controller [rad]; NaN if the servo closes the loop on its own sensor.
+        read_velocity: velocity read by the controller [rad/s].
+        current: motor currents, as far as known [A].
+        time: time since the start of the recording [s], ``[tick, 1]``.
         inputs: inputs of the servos, by the name of a signal; held from tick to tick.
         dynamics: mass matrix and bias along the motion.
         changes: dynamics added per unit of a parameter beyond its neutral value, by parameter name and joint (None for
@@ -79,8 +79,8 @@ class Window:
     """Start of a window.
 
     Attributes:
-        motion: which motion.
-        tick: its first tick.
+        motion: index of the motion.
+        tick: first tick of the window.
     """
 
     motion: int
@@ -90,17 +90,17 @@ class Window:
 class WindowSimulation:
     """Simulates windows of measured motions for many parameter sets at once.
 
-    Controllers on the computer receive the measured readings, not the simulated ones: their commands are those that
-    were sent. Before each window, for `preroll` ticks, the joints are guided along the measured motion, so that states
-    with memory (latency, filters, contacts) start from the data.
+    Controllers on the computer receive the measured readings, not the simulated ones, so that they give the commands
+    that were sent. Before each window, for `preroll` ticks, the joints are guided along the measured motion, so that
+    states with memory (latency, filters, contacts) start from the data.
 
     Args:
-        motions: all with the same period and joints.
-        windows: where the windows start; `preroll` ticks must lie before, `ticks` behind.
+        motions: motions with the same period and joints.
+        windows: starts of the windows, with `preroll` ticks before and `ticks` ticks after them.
         joints: joint names, by which the model's per-joint values address the columns.
-        timestep: of the simulation [s]; must divide the period.
+        timestep: simulation step [s], a divisor of the period.
         preroll: ticks for which the joints are guided.
-        dtype: of the results; the simulation is in double precision.
+        dtype: dtype of the results; the simulation is in double precision.
 
     Raises:
         ValueError: if a window does not fit into its motion, or periods or supplies differ.
@@ -120,7 +120,7 @@ class WindowSimulation:
         dtype: torch.dtype = torch.float32,
     ):
         if not windows:
-            raise ValueError("there is no window to simulate: the logs are too short")
+            raise ValueError("the logs are too short for a window; record longer logs")
         period = motions[0].period
         self.substeps = steps_in(period, timestep)
         if any(abs(motion.period - period) > 1e-9 for motion in motions):
@@ -152,7 +152,7 @@ class WindowSimulation:
         self._edits: dict[tuple, np.ndarray] = {}
 
     def under(self, model: RobotModel) -> WindowSimulation:
-        """The same windows under another model, with shared data."""
+        """The same windows with another model and shared data."""
         other = copy.copy(self)
         other.model = model
         return other
@@ -168,9 +168,9 @@ class WindowSimulation:
         """Simulate all windows for every candidate.
 
         Args:
-            parameters: by name, ``[candidate]`` or ``[candidate, joint]``; those not named are the model's.
-            position_offset: added to the initial joint angles [rad], ``[candidate, joint]``.
-            velocity_offset: added to the initial joint velocities [rad/s], ``[candidate, joint]``.
+            parameters: values by name, ``[candidate]`` or ``[candidate, joint]``; all others are the model's.
+            position_offset: offset of the initial joint angles [rad], ``[candidate, joint]``.
+            velocity_offset: offset of the initial joint velocities [rad/s], ``[candidate, joint]``.
 
         Returns:
             Position [rad], velocity [rad/s] and current [A] as the sensors read them, by channel,

@@ -103,8 +103,8 @@ def let_go(s, p, on, motion, here, work, row, offset, step):
     """Begin the window: resting joints are in balance, and initial states have a candidate's offsets.
 
     Args:
-        offset: of position and velocity, ``[2, joint]``.
-        step: of the simulation [s].
+        offset: offset of position and velocity, ``[2, joint]``.
+        step: step of the simulation [s].
     """
     joints = len(s)
     for i in range(joints):
@@ -260,10 +260,10 @@ def simulate(
         motion, along, damping: see above; damping is ``[row, joint, joint]``.
         starts, dynamics_starts: rows at which the lead of each window begins, ``[window]``.
         edits: dynamics that edits of bodies add per unit, ``[edit, row, entry]``.
-        weights: of these, ``[candidate, edit]``.
+        weights: weights of the edits, ``[candidate, edit]``.
         misread: edit for the encoder offset of each joint, ``[joint]``, or -1.
-        offsets: of initial position and velocity, ``[candidate, 2, joint]``.
-        limbs: see `coupled`.
+        offsets: offsets of initial position and velocity, ``[candidate, 2, joint]``.
+        limbs: limbs, see `coupled`.
         here, there, row_weights, matrix, work: rooms.
         preroll: ticks of a lead.
         substeps: steps of a tick.

@@ -1,6 +1,6 @@
-"""The rigid bodies under the servos: limbs on a fixed base by Pinocchio, whatever touches the floor by MuJoCo.
+"""The rigid bodies moved by the servos: Pinocchio simulates limbs on a fixed base, MuJoCo robots on the floor.
 
-Both start from a compiled MuJoCo model, of which Pinocchio's takes masses, frames and axes alone.
+Both start from a compiled MuJoCo model; Pinocchio's model uses only its masses, frames and axes.
 """
 
 # MuJoCo's and Pinocchio's types come from compiled modules without stubs, which the type checker cannot read.
@@ -28,15 +28,15 @@ Array = NDArray[np.float64]
 
 
 class Limbs:
-    """Everything that moves on a fixed base, by Pinocchio.
+    """All moving bodies on a fixed base, simulated by Pinocchio.
 
-    Once a tick Pinocchio (Carpentier et al. 2019) gives the inverse of the joint-space inertia and the torques of
-    gravity and speed, at the place where the limbs will be in its middle; between, the compiled servos make their finer
-    steps. That is exact to the second order of the tick.
+    Once per tick, Pinocchio (Carpentier et al. 2019) computes the inverse joint-space inertia and the bias torques for
+    the predicted state in the middle of the tick; in between, the compiled servos take their finer steps. This is
+    accurate to second order in the tick.
 
     Args:
-        model: compiled, with a base that is fixed to the world.
-        servos: of the joints.
+        model: compiled model with a base fixed to the world.
+        servos: servos of the joints.
         joints: names of the joints in the model [joint].
         mount: natural frequency [Hz] and damping ratio of the elastic stand; frequency 0: stiff.
     """
@@ -66,11 +66,11 @@ class Limbs:
             self._mount = np.stack([inertia * rate**2, 2 * mount[1] * inertia * rate], 1)
 
     def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
-        """At rest, the mount where gravity holds it.
+        """Initialise at rest, with the mount in static equilibrium.
 
         Args:
             joint_position: [joint] in rad.
-            qpos: the full MuJoCo position, whose passive joints count.
+            qpos: the full MuJoCo position, which also sets passive joints.
             tilt: roll and pitch of the stand in rad.
         """
         turn = rotation_matrix(*tilt)
@@ -91,7 +91,7 @@ class Limbs:
 
     def begin_tick(self) -> None:
         """Inertia and bias in the middle of the tick."""
-        # the velocities of semi-implicit steps are those of half a step ago, so the tick's middle is so much earlier
+        # velocities of semi-implicit steps lag by half a step, so the tick's middle is earlier by that amount
         step = self._servos.world.timestep
         ahead = self.velocity + 0.5 * TICK * self.acceleration
         half = 0.5 * (TICK - step)
@@ -99,7 +99,7 @@ class Limbs:
         self._inverse, self._bias = self._freedoms.dynamics(self.model, self.data, place, ahead)
 
     def run(self, count: int) -> None:
-        """Make `count` steps with the inertia of this tick, none beyond its end."""
+        """Make at most `count` steps with the inertia of this tick, none beyond its end."""
         servos = self._servos
         step_limbs(
             *servos.records,
@@ -116,9 +116,9 @@ class Limbs:
             raise FloatingPointError
 
     def trunk(self) -> tuple[Array, Array, Array]:
-        """Quaternion (w, x, y, z), angular velocity [rad/s] and specific force [m/s^2] of the base, in its axes.
+        """Quaternion (w, x, y, z), angular velocity [rad/s] and specific force [m/s^2] of the base in the base's frame.
 
-        It leans with the stand.
+        The base tilts with the stand.
         """
         matrix, rates = self._base, np.zeros(3)
         if self._bases:
@@ -130,17 +130,17 @@ class Limbs:
 
 
 class _Freedoms:
-    """Which joints move on their own; the others follow them or are held, as the model's equalities say.
+    """Which joints move independently; the others follow these or are held, according to the model's equalities.
 
     Args:
         model: compiled.
-        names: of all degrees of freedom, the mount's first.
-        bases: how many of these are the mount's.
+        names: names of all degrees of freedom, the mount's first.
+        bases: number of degrees of freedom of the mount.
 
     Attributes:
-        own: numbers of those that move on their own.
-        names: of these.
-        spread: all velocities from these, ``[freedom, own]``.
+        own: indices of the independent joints.
+        names: names of the independent joints.
+        spread: matrix from independent velocities to all velocities, ``[freedom, own]``.
     """
 
     def __init__(self, model: mujoco.MjModel, names: Sequence[str], bases: int):
@@ -162,13 +162,13 @@ class _Freedoms:
         self._all_own = len(self.own) == len(names)
 
     def all(self, position: Array) -> Array:
-        """Positions of all from those of the own [freedom]."""
+        """Positions of all joints from the independent ones [freedom]."""
         return self.spread @ position + self._offset
 
     def dynamics(
         self, model: pinocchio.Model, data: pinocchio.Data, position: Array, velocity: Array
     ) -> tuple[Array, Array]:
-        """Inverse of the inertia of the own, ``[own, own]``, and the torques of gravity, speed and passive joints."""
+        """Inverse inertia of the independent joints, ``[own, own]``, and bias torques including passive joints."""
         place, speed = self.all(position), self.spread @ velocity
         bias = pinocchio.nonLinearEffects(model, data, place, speed)
         bias = bias + self._damping * speed + self._spring * (place - self._rest)
@@ -188,8 +188,8 @@ def limb_model(model: mujoco.MjModel, elastic: bool = False) -> tuple[pinocchio.
     """Pinocchio's model of the bodies of a MuJoCo model.
 
     Args:
-        model: whose joints are hinges and slides.
-        elastic: whether the base may roll and pitch, by two joints that come first.
+        model: model whose joints are hinges and slides.
+        elastic: whether two additional first joints let the base roll and pitch.
 
     Returns:
         The model, and the names of its degrees of freedom.
@@ -264,7 +264,7 @@ _DIVERGENCE = [
 
 
 class Floor:
-    """A robot that touches things, by MuJoCo: Euler's semi-implicit step and elliptic friction cones.
+    """A robot in contact, simulated by MuJoCo with semi-implicit Euler steps and elliptic friction cones.
 
     One evaluation of the dynamics per step suits servos that carry a state of their own and advance once per step; at
     0.25 ms it needs no implicit damping (the stiffest term, damping over inertia, is 0.1 per step), and it costs a
@@ -272,7 +272,7 @@ class Floor:
 
     Args:
         model: compiled; its options are changed.
-        servos: of the joints.
+        servos: servos of the joints.
         joints: names of the joints in the model [joint].
         imu: first places of quaternion, gyro and accelerometer among the sensors; None without an IMU.
     """
@@ -291,7 +291,7 @@ class Floor:
         self._servos, self._imu = servos, imu
 
     def reset(self, joint_position: Array, qpos: Array | None, tilt: tuple[float, float]) -> None:
-        """At rest in the full MuJoCo position."""
+        """Initialise at rest in the full MuJoCo position."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self.data)

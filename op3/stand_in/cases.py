@@ -1,8 +1,8 @@
-"""Cases of the hidden-effect bench: drawn from a seed, recorded, and sealed before anybody looks at the logs.
+"""Cases of the hidden-effect bench: drawn from a seed, recorded, and sealed before the logs are diagnosed.
 
-`draw_case` decides what is hidden, `make_case` writes the logs that a diagnosis may see and, elsewhere, the answer
-that it may not. `seal` writes the SHA-256 of all answers into one file, which is published first. Seeds below
-`TEST_SEEDS` are for development, the others for the test; the two never meet.
+`draw_case` chooses the hidden effects; `make_case` writes the logs for the diagnosis and, in another folder, the
+answer, which the diagnosis must not read. `seal` writes the SHA-256 of all answers into one file, which is published
+first. Seeds below `TEST_SEEDS` are for development, the others for the test.
 """
 
 from __future__ import annotations
@@ -74,14 +74,14 @@ class Case:
     """The hidden effects of one case, and the inputs of its diagnosis.
 
     Attributes:
-        name: of the case's folder; tells nothing.
-        seed: of everything in the case.
+        name: name of the case's folder, which does not reveal the answer.
+        seed: seed of everything in the case.
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`, None where nothing is hidden.
-        base: model that the diagnosis starts from; "null" for one made of the robot's servos.
+        base: model that the diagnosis starts from; "null": built from the robot's servo files.
         world: numbers of the robot, with those of `hidden` that are part of a world.
-        hidden: what is hidden.
-        joints: of the robot.
+        hidden: the hidden effects.
+        joints: joints of the robot.
         robot: key of `SETTINGS`.
     """
 
@@ -125,14 +125,14 @@ def draw_case(
     *,
     robot: str,
 ) -> Case:
-    """Decide what one case hides.
+    """Choose the hidden effects of one case.
 
     Args:
-        seed: of everything in the case.
+        seed: seed of everything in the case.
         kind: one of `CASE_KINDS`.
         severity: one of `SEVERITIES`; null cases have none.
         effect: hide this one (singles, outsiders, poor cases, and the first of a pair); drawn if None.
-        ranges: of the robots' numbers.
+        ranges: ranges of the robots' parameters.
         robot: key of `SETTINGS`.
     """
     for name, value, known in (
@@ -184,7 +184,7 @@ def _names(rng: np.random.Generator, kind: str, effect: str | None, bases: Mappi
     catalogue = [name for name in CATALOGUE if name in bases or name not in BASES]
     pool = OUTSIDERS if kind == "outsider" else catalogue
     if effect is not None and effect not in pool:
-        raise ValueError(f"a case of kind {kind} cannot hide {effect!r}; it can hide {', '.join(pool)}")
+        raise ValueError(f"a case of kind {kind} cannot hide {effect!r}; choose {', '.join(pool)}")
     first = effect or str(rng.choice(pool))
     if kind != "pair":
         return (first,)
@@ -202,7 +202,7 @@ def _names(rng: np.random.Generator, kind: str, effect: str | None, bases: Mappi
 
 
 def _hide(rng: np.random.Generator, name: str, factor: float, places: Places, mirror: Mapping[str, str]) -> Hidden:
-    """One effect of this strength, at a drawn place, in a drawn form."""
+    """One effect with this severity, in drawn joints and a drawn form."""
     kind = KINDS[name]
     joints: tuple[str, ...] = ()
     if kind.place != "all":
@@ -250,11 +250,11 @@ def _load_and_depth(scene: Scene) -> tuple[Array, list[int]]:
 
 
 def record_case(case: Case, runs: Sequence[Excitation] | None = None) -> Iterator[Rollout]:
-    """Every run of a case, in the order of the day; equal seeds give equal bytes.
+    """Every run of a case in chronological order; the same seed gives the same bytes.
 
     Args:
-        case: from `draw_case`.
-        runs: what the robot is asked to do; None: the suite of its setting.
+        case: case from `draw_case`.
+        runs: runs that the robot performs; None: the suite of its setting.
     """
     setting = SETTINGS[case.robot]
     if runs is None:
@@ -283,10 +283,10 @@ def _day(runs: Sequence[Excitation], setting: Setting, case: Case) -> Iterator[t
 
 
 def make_case(case: Case, folder: str | Path, answers: str | Path) -> Path:
-    """Record a case: logs and base model for the diagnosis, the answer in another place.
+    """Record a case: logs and initial model for the diagnosis, and the answer in another folder.
 
     Args:
-        case: from `draw_case`.
+        case: case from `draw_case`.
         folder: `<folder>/<case.name>/data/` gets one rollout folder per run, `case.yaml` beside it the base model.
         answers: folder for the answers, `<answers>/<case.name>.yaml`; an answer that is there already must be the
             same to the byte.
@@ -308,7 +308,7 @@ def write_answer(case: Case, answers: str | Path) -> Path:
     path = Path(answers) / f"{case.name}.yaml"
     content = answer_bytes(case)
     if path.is_file() and path.read_bytes() != content:
-        raise ValueError(f"{path} holds another answer; take another folder")
+        raise ValueError(f"{path} contains a different answer; choose another folder")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     return path
@@ -332,7 +332,7 @@ def commit(cases: Sequence[Case], answers: str | Path) -> Path:
     """Write and seal all answers; those sealed before must be the same to the byte.
 
     Raises:
-        ValueError: if the folder holds answers of another bench.
+        ValueError: if the folder contains answers of another bench.
     """
     answers = Path(answers)
     for case in cases:
@@ -340,16 +340,16 @@ def commit(cases: Sequence[Case], answers: str | Path) -> Path:
     sealed = answers / SEAL_FILE
     before = sealed.read_text(encoding="utf-8") if sealed.is_file() else None
     if before is not None and {line[66:] for line in before.splitlines()} != {f"{case.name}.yaml" for case in cases}:
-        raise ValueError(f"{answers} holds the answers of another bench; take another folder")
+        raise ValueError(f"{answers} contains the answers of another bench; choose another folder")
     path = seal(answers)
     if before is not None and path.read_text(encoding="utf-8") != before:
         path.write_text(before, encoding="utf-8")
-        raise ValueError(f"an answer in {answers} is not the one that was sealed; take another folder")
+        raise ValueError(f"an answer in {answers} differs from the sealed one; choose another folder")
     return path
 
 
 def open_answers(answers: str | Path, commitment: str | Path | None = None) -> dict[str, dict[str, Any]]:
-    """Read answers whose hashes agree with what was published.
+    """Read answers and check their hashes against the published ones.
 
     Args:
         answers: folder of the answers.
@@ -359,7 +359,7 @@ def open_answers(answers: str | Path, commitment: str | Path | None = None) -> d
         Answers by case name.
 
     Raises:
-        ValueError: if an answer was changed, added or taken away after sealing.
+        ValueError: if an answer was changed, added or removed after sealing.
     """
     answers = Path(answers)
     commitment = Path(commitment or answers / SEAL_FILE)

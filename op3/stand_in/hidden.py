@@ -1,4 +1,4 @@
-"""Effects that can be hidden in a robot: names, units, sizes, joints, from `kinds.yaml`."""
+"""Effects that can be hidden in a robot, with units, sizes and joints from `kinds.yaml`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BASES: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """One thing that can be hidden; the fields are explained in `kinds.yaml`."""
+    """A kind of hidden effect; `kinds.yaml` explains the fields."""
 
     size: float
     unit: str
@@ -32,14 +32,14 @@ class Kind:
     parameter: str = ""
 
     def catalogue_size(self, size: float) -> float:
-        """A size in the terms of the catalogue: that of a gear is its efficiency."""
+        """A size in the catalogue's convention; for the gear this is the efficiency."""
         return 1 / (1 + size) if self.parameter == "backward_efficiency" else size
 
 
 KINDS: dict[str, Kind] = {
     name: Kind(**fields) for name, fields in yaml.safe_load(Path(__file__).with_name("kinds.yaml").read_text()).items()
 }
-"""Everything the bench can hide."""
+"""All kinds of effects that the bench can hide."""
 
 OUTSIDERS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.outsider)
 """Names of out-of-catalogue effects."""
@@ -68,10 +68,10 @@ class Hidden:
 
     Attributes:
         name: key of `KINDS`.
-        size: [unit of the kind]; 0 is no effect.
-        joints: where it sits; empty: everywhere.
+        size: size in the unit of the kind; 0: no effect.
+        joints: affected joints; empty: all joints.
         form: one of the kind's forms; the first if empty.
-        shape: numbers in [0, 1] from which the stand-in takes what the size does not say (phases, places).
+        shape: numbers in [0, 1] that determine further properties, such as phases and angles.
     """
 
     name: str
@@ -81,10 +81,10 @@ class Hidden:
     shape: tuple[float, ...] = (0.5, 0.5, 0.5)
 
     def __post_init__(self):
-        """Refuse what the table does not hold."""
+        """Raise an error for an effect or form that the table does not contain."""
         kind = KINDS.get(self.name)
         if kind is None:
-            raise ValueError(f"nothing called {self.name!r} can be hidden; there are {', '.join(KINDS)}")
+            raise ValueError(f"{self.name!r} cannot be hidden; choose one of {', '.join(KINDS)}")
         object.__setattr__(self, "form", self.form or kind.forms[0])
         object.__setattr__(self, "joints", tuple(self.joints))  # from a file they are lists
         object.__setattr__(self, "shape", tuple(self.shape))

@@ -1,4 +1,4 @@
-"""The servos of a robot: records of what a world and the hidden effects make of them, and their state."""
+"""The servos of a robot: records of their parameters, set by a world and the hidden effects, and of their states."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ class HiddenServos:
     Attributes:
         servos: parameters, records `SERVO` [joint].
         states: records `STATE` [joint].
-        robot: what they share, one record `ROBOT` [1].
+        robot: values shared by all servos, one record `ROBOT` [1].
         velocity: the servos' own estimates [joint] in rad/s.
 
     Args:
         world: the hidden parameters.
-        hidden: what is hidden besides.
+        hidden: further hidden effects.
         joints: names [joint].
-        makes: of the servos [joint]. A world's numbers are those of an XM430-W350, and of another make in proportion of
-            the data sheets.
-        rest: angles about which the robot moves [joint] in rad; what sits at an angle is near them.
+        makes: makes of the servos [joint]. A world's values are for an XM430-W350; for another make they are scaled by
+            the ratio of the data sheets.
+        rest: angles about which the robot moves [joint] in rad; effects at certain angles are placed near these.
         limits: mechanical range of the joints [joint, 2] in rad.
     """
 
@@ -94,7 +94,7 @@ class HiddenServos:
         robot["supply"] = np.nan
 
     def _scale(self, makes: Sequence[ServoMake]) -> None:
-        """Bring the numbers of an XM430-W350 to the makes there are, in proportion of the data sheets."""
+        """Scale the values of an XM430-W350 to the robot's makes by the ratio of the data sheets."""
         servos, like = self.servos, load_servo("xm430-w350")
 
         def of(read: Callable[[ServoMake], float]) -> Array:
@@ -120,7 +120,7 @@ class HiddenServos:
                 servo["goal_speed"] = law.goal_speed.si
 
     def _hide(self, effect: Hidden, joints: Sequence[str], rest: Array) -> None:
-        """Write an effect into the records; those of links, bus and world are not the servos' matter."""
+        """Write an effect into the records; effects of links, bus and world are handled elsewhere."""
         where = np.array([not effect.joints or joint in effect.joints for joint in joints])
         unknown = set(effect.joints) - set(joints)
         if unknown:
@@ -139,7 +139,7 @@ class HiddenServos:
 
     @property
     def output_inertia(self) -> Array:
-        """Inertia that turns with each joint for certain [joint] in kg m^2."""
+        """Inertia that always turns with each joint [joint] in kg m^2."""
         return self.servos["output_inertia"]
 
     @property
@@ -165,7 +165,7 @@ class HiddenServos:
         return position
 
     def reset(self, position: Array, rng: np.random.Generator, day_time: float = 0.0) -> None:
-        """Switched on at rest at `position` [joint] in rad; windings keep their temperature."""
+        """Switch the servos on at rest at `position` [joint] in rad; windings keep their temperature."""
         kept = self.states["temperature"].copy(), self.states["air"].copy()
         self.states[:] = np.zeros(1, STATE)
         states = self.states
@@ -186,7 +186,7 @@ class HiddenServos:
         self.robot["time"] = 0.0
 
     def tick(self, rng: np.random.Generator) -> None:
-        """Advance what changes slowly by `TICK`."""
+        """Advance slow states by `TICK`."""
         count = len(self.states)
         normal, uniform = rng.standard_normal(count), rng.random(count)
         step_slow(*self.records, self._memory, self.velocity, normal, uniform)
@@ -198,7 +198,7 @@ def _stall(make: ServoMake) -> float:
 
 
 def _softer(servos: Records, effect: Hidden) -> dict[str, Array | float]:
-    """A bristle in series with a softer one, as much damped as before in proportion to the root of its stiffness."""
+    """A bristle in series with a softer one, with the same damping ratio."""
     stiffness = 1 / (1 / servos["stiffness"] + effect.size)
     damping = servos["damping"] * np.sqrt(stiffness / servos["stiffness"])
     return {"stiffness": stiffness, "damping": damping, "bristle_form": effect.variant}
@@ -212,7 +212,7 @@ def _stop(effect: Hidden, near: Array) -> dict[str, Array | float]:
 
 
 def _written(servos: Records, effect: Hidden, near: Array) -> dict[str, Array | float]:
-    """Values that an effect writes into the records of its servos; none for effects of links, bus and world.
+    """Values that an effect writes into its servos' records; empty for effects of links, bus and world.
 
     Args:
         servos: parameters before it, records [joint].

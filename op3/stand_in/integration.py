@@ -17,10 +17,10 @@ TICK = 0.001
 """Period of slow updates: noise, drift, voltage, temperature, and the servos' own velocity estimate [s]."""
 
 REFERENCE_TEMPERATURE = 25.0
-"""Temperature at which a world's numbers hold [C]."""
+"""Temperature at which a world's values apply [C]."""
 
 WARM_UP_TIME = 150.0
-"""Time constant of friction that fades in the course of a day [s]."""
+"""Time constant of friction that decreases over a day [s]."""
 
 MEMORY = 64
 """Ticks of encoder readings that are kept for a velocity from differences."""
@@ -58,12 +58,13 @@ def _record(names: str) -> np.dtype:
 
 
 SERVO, STATE, ROBOT = _record(_SERVO), _record(_STATE), _record(_ROBOT)
-"""Records of a servo's parameters, of its state, and of what a robot's servos share. SI units, temperatures in C."""
+"""Records of a servo's parameters, of its state, and of values shared by a robot's servos. SI units and C."""
 
 
 @njit(cache=True)
 def fade(form: float, speed: float, scale: float) -> float:
-    """Share of static friction left at a speed: Gaussian, exponential, Lorentz's, stretched exponential, or linear."""
+    """Remaining share of static friction at a speed: Gaussian, exponential, Lorentz's, stretched exponential, or
+    linear."""
     ratio = speed / scale
     if form == 0:
         return np.exp(-ratio * ratio)
@@ -78,15 +79,15 @@ def fade(form: float, speed: float, scale: float) -> float:
 
 @njit(cache=True)
 def viscous_rate(p, speed: float) -> float:
-    """Viscous torque by velocity [N m s/rad]: constant, or of a grease that shear makes thinner."""
+    """Viscous torque per velocity [N m s/rad]: constant, or for a shear-thinning grease."""
     return p.viscous if p.viscous_form == 0 else p.viscous * (speed + 0.01) ** -0.3
 
 
 @njit(cache=True)
 def friction_bound(p, s, torque: float, position: float, velocity: float) -> float:
-    """Largest friction [N m]: gear loss by the sign of the power, Coulomb, static, and what is hidden."""
+    """Largest friction [N m]: gear loss by the sign of the power, Coulomb, static and hidden friction."""
     speed = abs(velocity)
-    # at rest the strained teeth tell which way the torque works; they are continuous there, so nothing chatters
+    # at rest the strain of the teeth gives the direction of the torque; it is continuous, which avoids chattering
     loss = p.driving_loss if torque * s.bristle > 0 else p.driven_loss
     if p.loss_form == 1:
         loss *= 0.85 + 0.3 * np.exp(-speed / 0.3)
@@ -117,7 +118,7 @@ def friction_bound(p, s, torque: float, position: float, velocity: float) -> flo
 
 @njit(cache=True)
 def slide(p, s, velocity: float, bound: float, step: float) -> float:
-    """Strain the elastic element, let it slide at the bound, and give its force [N m]."""
+    """Strain the elastic element, let it slide at the bound, and return its torque [N m]."""
     limit = bound / p.stiffness
     if p.bristle_form == 1:  # LuGre: the strain saturates smoothly
         rate = velocity - abs(velocity) * s.bristle / limit
@@ -130,7 +131,7 @@ def slide(p, s, velocity: float, bound: float, step: float) -> float:
 
 @njit(cache=True)
 def drive(p, s, voltage: float, velocity: float, step: float) -> None:
-    """Advance the current: towards the goal as the sensor reads it, within what the voltage allows."""
+    """Advance the measured current towards the goal, within the limits of the voltage."""
     induced = s.gain * velocity / p.resistance
     if s.by_voltage > 0:
         goal = s.duty * voltage / p.resistance - induced
@@ -151,7 +152,7 @@ def drive(p, s, voltage: float, velocity: float, step: float) -> None:
 
 @njit(cache=True)
 def gear_ripple(p, torque: float, position: float) -> float:
-    """Torque over the angle on the motor's side [N m]: cogging, and a chipped tooth that comes by every 0.35 rad."""
+    """Torque that depends on the motor-side angle [N m]: cogging, and a chipped tooth every 0.35 rad."""
     ripple = 0.0
     if p.cogging != 0:
         wave = np.sin(p.cogging_periods * position + p.cogging_phase)
@@ -164,7 +165,7 @@ def gear_ripple(p, torque: float, position: float) -> float:
 
 @njit(cache=True)
 def teeth(p, s) -> float:
-    """Torque that a loose or soft gear transmits [N m]: nothing in the gap, no pull, an elastic push beside it."""
+    """Torque that a loose or soft gear transmits [N m]: zero within the gap, an elastic push outside it."""
     twist = s.gear_position - s.position
     pressed = max(abs(twist) - p.half_gap, 0.0)
     # curved flanks are soft at first touch (Hertz) and as stiff as the plain form at 1 mrad
@@ -199,7 +200,7 @@ def link_torque(p, s, step: float, time: float) -> float:
 
 @njit(cache=True)
 def servo_torque(p, s, robot) -> float:
-    """Advance one servo by a step of the physics and give the torque on its joint [N m]."""
+    """Advance one servo by a physics step and return the torque on its joint [N m]."""
     step, soft = robot.step, p.gear_stiffness > 0
     position = s.gear_position if soft else s.position
     velocity = s.gear_velocity if soft else s.velocity
@@ -247,9 +248,9 @@ def step_limbs(servos, states, robot, index, mount, position, velocity, accelera
         position: [dof] in rad.
         velocity: [dof] in rad/s.
         acceleration: [dof] in rad/s^2, mean of the steps made.
-        inverse: of the joint-space inertia, its upper triangle [dof, dof] in 1/(kg m^2).
+        inverse: inverse of the joint-space inertia, its upper triangle [dof, dof] in 1/(kg m^2).
         bias: torque of gravity, Coriolis and centrifugal forces [dof] in N m.
-        count: steps.
+        count: number of steps.
     """
     step, freedoms = robot.step, len(position)
     torque = np.zeros(freedoms)
@@ -297,7 +298,7 @@ def encoders(servos, position) -> NDArray[np.float64]:
 
 @njit(cache=True)
 def estimate_velocity(p, s, memory, ticks: int) -> float:
-    """The servo's own estimate of its velocity [rad/s]: one lag, two lags, or a difference over a window."""
+    """The servo's velocity estimate [rad/s]: one lag, two lags, or a difference over a window."""
     bent = p.encoder_bend != 0 and p.encoder_form == 1
     slope = 1.0
     if bent:
@@ -338,7 +339,7 @@ def step_slow(servos, states, robot, memory, speed, normal, uniform) -> None:
     drawn, total = 0.0, 0.0
     for j in range(len(states)):
         s = states[j]
-        # drivers chop the voltage, so the battery gives their power and not their currents; none takes power back
+        # drivers chop the voltage, so the battery supplies their power rather than their currents; none feeds back
         drawn += max(s.current * (servos[j].resistance * s.current + s.gain * s.velocity), 0.0)
         total += abs(s.current)
     given = np.isfinite(robot.supply)
@@ -364,7 +365,7 @@ def step_slow(servos, states, robot, memory, speed, normal, uniform) -> None:
                 s.out = 0.02
         seen = encoder(p, s.position)
         memory[j, ticks % MEMORY] = seen
-        if p.position_gain > 0:  # the servo's own position loop, on whole counts, towards a goal that it follows
+        if p.position_gain > 0:  # the servo's position loop, in integer counts, towards a goal that it follows
             s.followed += min(max(s.goal - s.followed, -p.goal_speed * TICK), p.goal_speed * TICK)
             error = s.followed - np.round(seen / p.position_unit) * p.position_unit
             s.duty = min(max(p.position_gain * error, -p.max_duty), p.max_duty)

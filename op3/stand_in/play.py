@@ -1,4 +1,4 @@
-"""Recording a motion on a stand-in robot, as the computer on the robot does it.
+"""Records a motion on a stand-in robot in the same way as the computer on a real robot.
 
 Variable-gain PD in current at 125 Hz with zero-order hold (paper, section "Variable Gain PD"). A row holds the
 sensors at its time and then the command issued at that time.
@@ -27,14 +27,14 @@ REST_TIME = 0.2
 """Time for which a robot stands still before a recording starts [s]."""
 
 PATIENCE = 3.0
-"""Longest wait for that [s]; a servo may oscillate around a reading forever."""
+"""Longest wait for standstill [s], because a servo may oscillate around a reading forever."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class TrunkPush:
-    """A push of the trunk: force [xyz] in N, in the world's axes, from `start` on for `duration` [s]."""
+    """A push of the trunk: force [xyz] in N, in the world's axes, from `start` for `duration` [s]."""
 
     start: float
     force: tuple[float, float, float]
@@ -65,18 +65,18 @@ def play(
 
     Args:
         robot: a `StandIn`.
-        motion: targets; joints that it does not name stay in the pose "stand".
+        motion: targets; other joints stay in the pose "stand".
         p_gain: one number, [joint], or [row, joint] with one row per tick of 8 ms [A/rad].
-        d_gain: the same [A s/rad].
-        recording: identity of the recording.
-        settle: how long the first pose is held before the recording starts [s].
+        d_gain: one number or array, as for `p_gain` [A s/rad].
+        recording: identifier of the recording.
+        settle: time for which the first pose is held before the recording starts [s].
         still: whether the recording waits, after `settle`, until the joints are at rest.
-        pushes: of the trunk, in the order of their times since the recording began.
-        metadata: fields of the log that are not as usual, such as a pendulum's mass and length.
-        placed: how the robot is put down, see `StandIn.reset`.
+        pushes: pushes of the trunk, in the order of their times since the recording began.
+        metadata: further fields of the log's metadata, such as a pendulum's mass and length.
+        placed: arguments of `StandIn.reset`.
 
     Returns:
-        A rollout at 125 Hz, whose first rows are at rest where it waits for that.
+        A rollout at 125 Hz, whose first rows are at rest if `still` is set.
     """
     if not 0 <= settle < np.inf:
         raise ValueError(f"settle must be at least 0 s and finite, got {settle}")

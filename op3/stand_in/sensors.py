@@ -1,4 +1,4 @@
-"""Readings of a stand-in robot's sensors: filtered, noisy and in whole units of the registers.
+"""Readings of a stand-in robot's sensors: filtered, noisy and quantised to register units.
 
 Units: XM430-W350 control table and OpenCR's IMU registers (ROBOTIS e-Manual).
 """
@@ -47,7 +47,7 @@ class Sensors:
 
 
 def quantise(value: Array, unit: float | Array) -> Array:
-    """The nearest whole number of units."""
+    """A value rounded to an integer number of units."""
     return np.round(value / unit) * unit
 
 
@@ -65,7 +65,7 @@ class Imu:
         self.rates_and_force = np.zeros(6)
 
     def reset(self, quaternion: Array, specific_force: Array) -> None:
-        """At rest for long."""
+        """Initialise after a long rest."""
         self._filtered[:] = self._bias
         self._filtered[3:] += specific_force
         self._age = 0

@@ -1,4 +1,4 @@
-"""A robot with hidden parameters: rigid bodies of a library, separate models of servos and sensors."""
+"""A robot with hidden parameters: rigid-body dynamics from a library, and separate models of servos and sensors."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -40,17 +40,17 @@ Array = NDArray[np.float64]
 class StandIn:
     """A robot whose parameters are hidden behind its sensors.
 
-    `play` records a motion as a computer on the robot would. Below it lies what a bus needs: `reset`,
-    `write_current`, `drive`, `advance`, `read_sensors`.
+    `play` records a motion as a computer on the robot would. A bus uses the lower-level methods `reset`,
+    `write_current`, `drive`, `advance` and `read_sensors`.
 
     Args:
         world: the hidden parameters.
-        scene: with the robot, without servos attached.
-        seed: of everything random in the recordings. The k-th reset draws from its own stream, so equal seeds
-            give equal bytes, and repeats differ.
+        scene: scene with the robot, without servos attached.
+        seed: seed of all random numbers. The k-th reset draws from its own stream, so that the same seed gives the same
+            bytes and repeats differ.
 
     Attributes:
-        supply: voltage of the servos' supply [V]; None: the robot's own battery.
+        supply: voltage of the servos' supply [V]; None: the robot's battery.
     """
 
     def __init__(self, world: HiddenWorld, scene: Scene, *, seed: int = 0):
@@ -93,7 +93,7 @@ class StandIn:
         self.reset(np.zeros(count))
 
     def _hidden_model(self) -> mujoco.MjModel:
-        """The scene compiled, with the world's body and ground, and what is hidden in the links."""
+        """The compiled scene with body and ground parameters of the world, and with hidden effects of links."""
         world = self._world
         model = self.scene.compile(visual=False)
         if self.scene.robot is not None and not self.known.file.fixed:
@@ -144,17 +144,17 @@ class StandIn:
         day_time: float = 0.0,
         temperature: float | None = None,
     ) -> None:
-        """Put the robot down at rest, no current flowing, and start the next stream of random numbers.
+        """Put the robot down at rest without currents, and start the next stream of random numbers.
 
         Args:
-            joint_position: [joint] in rad. A free robot is put on the floor with its soles as level as the
-                pose allows.
+            joint_position: [joint] in rad. A free robot is placed on the floor with its soles as level as the pose
+                allows.
             qpos: the full position [qpos] instead, to place the base elsewhere.
-            by_hand: whether the joints are set as a person does it, who misses each by a little, and by what the
-                encoders say.
+            by_hand: whether the joints have small random errors and follow encoder readings, as if a person had set
+                them.
             tilt: roll and pitch of the stand in rad.
             day_time: how long the robot has worked before [s].
-            temperature: of air and windings [C]; None: as they are.
+            temperature: temperature of air and windings [C]; None: unchanged.
         """
         self._rng = np.random.default_rng([self.seed, self._resets])
         self._resets += 1
@@ -181,8 +181,8 @@ class StandIn:
         """Set the motion of the ground; its time counts from this call, or from a later reset.
 
         Args:
-            board: what moves the board of the scenes "board" and "board_weight"; None: nothing does.
-            tiles: heights of the tiles of the scene "terrain" [m], see `op3.scenes.draw_tiles`; None: as they are.
+            board: motion of the board in the scenes "board" and "board_weight"; None: no motion.
+            tiles: heights of the tiles of the scene "terrain" [m], see `op3.scenes.draw_tiles`; None: unchanged.
 
         Raises:
             ValueError: if the scene has no such board.
@@ -197,14 +197,14 @@ class StandIn:
         """Push the trunk of a robot on the floor.
 
         Args:
-            force: [xyz] in N, in the world's axes.
-            duration: [s], from now on.
+            force: force [xyz] in N, in the world's axes.
+            duration: duration from now [s].
 
         Raises:
             ValueError: if the trunk is held.
         """
         if not isinstance(self._bodies, Floor):
-            raise ValueError(f"the trunk is held in the scene {self.scene.name!r}: nobody can push it")
+            raise ValueError(f"the trunk is held in the scene {self.scene.name!r}: it cannot be pushed")
         self._push = np.array(force, dtype=float), self._steps + round(duration / self._world.timestep)
 
     def foremost(self) -> float:
@@ -215,9 +215,9 @@ class StandIn:
         """Give the servos new goal currents.
 
         Args:
-            current: [joint] in A, of servos with a position loop of their own the angle in rad; held until the next
-                ones arrive.
-            delay: how long they are under way [s]. Later writes may not overtake earlier ones.
+            current: goal currents [joint] in A, or goal angles in rad for servos with an internal position loop; held
+                until the next goals arrive.
+            delay: time until they arrive [s]; later writes must not overtake earlier ones.
         """
         goal = np.array(current, dtype=float)
         if goal.shape != (len(self.joints),) or not np.isfinite(goal).all():
@@ -234,7 +234,7 @@ class StandIn:
         self.write_current(current)
 
     def send(self, current: ArrayLike) -> None:
-        """A command of the robot's computer: in whole units, delayed, and sometimes lost."""
+        """A command of the robot's computer: quantised, delayed, and sometimes lost."""
         world, rng = self._world, self._rng
         delay = world.command_latency + world.latency_jitter * float(rng.standard_normal())
         delay += next((effect.size for effect in self.hidden if effect.name == "latency"), 0.0)
@@ -250,13 +250,13 @@ class StandIn:
         self.write_current(quantise(np.asarray(current), unit), max(delay, last * world.timestep, 0.0))
 
     def wait(self, period: float) -> None:
-        """Let about a period pass [s], with the jitter of a computer without real-time scheduling."""
+        """Let approximately a period pass [s], with the jitter of a computer without real-time scheduling."""
         jitter = self._world.sampling_jitter * min(max(self._rng.standard_normal(), -2.0), 2.0)
         self.advance(period + jitter - self._late)
         self._late = jitter
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s]. Parts of a physics step are carried over to the next call.
+        """Let time pass [s]. Fractions of a physics step are carried over to the next call.
 
         Raises:
             RuntimeError: if the physics diverges.
@@ -327,7 +327,7 @@ class StandIn:
     """Follow a motion and record it, see `op3.stand_in.play.play`."""
 
     def skip(self) -> None:
-        """Count a recording that exists already, so that the next is as it would have been after it."""
+        """Count an existing recording, so that the next recording is the same as if this one had been recorded now."""
         self.reset(np.zeros(len(self.joints)))
 
 
@@ -338,4 +338,4 @@ _UNITS: dict[str, Callable[[ServoMake], float]] = {
     "voltage": lambda make: make.unit("voltage"),
     "temperature": lambda make: make.unit("temperature") if make.counts.temperature else 1.0,
 }
-"""One unit of every register; a fine one for currents and temperatures that servos do not report."""
+"""Unit of every register; a fine unit for currents and temperatures that servos do not report."""

@@ -36,14 +36,14 @@ Suite = Callable[[int], Sequence[Excitation]]
 
 @dataclass(frozen=True)
 class Setting:
-    """A robot in its place.
+    """A robot in a scene with its runs.
 
     Attributes:
-        scene: makes it.
-        rich: runs that show what its servos hide, from a seed.
-        poor: runs with which many effects cannot be distinguished.
-        settle: how long the first target of a run is held before the recording starts [s].
-        metadata: makes what its logs say besides the usual.
+        scene: function that builds the scene.
+        rich: function of a seed that returns runs which reveal most effects.
+        poor: function of a seed that returns runs with which many effects cannot be distinguished.
+        settle: time for which the first target of a run is held before the recording starts [s].
+        metadata: function that returns further metadata of the logs.
     """
 
     scene: Callable[[], Scene]
@@ -54,10 +54,10 @@ class Setting:
 
 
 def floor_suite(seed: int) -> list[FloorExcitation]:
-    """The whole robot on its feet, 26 runs: squats, weight shifts, soft knees, arms, steps on the spot, pushes.
+    """The whole robot on its feet, 26 runs: squats, weight shifts, compliant knees, arms, steps on the spot, pushes.
 
     Args:
-        seed: of depths, speeds, gains and pushes. Equal seeds give equal commands.
+        seed: seed of depths, speeds, gains and pushes. Equal seeds give equal commands.
     """
     rng = np.random.default_rng([seed, 23])
     draw = rng.uniform
@@ -108,7 +108,7 @@ def floor_suite(seed: int) -> list[FloorExcitation]:
 
 
 def floor_walking(seed: int) -> list[Excitation]:
-    """Steps on the spot alone; every sixth run repeats the first."""
+    """Only steps on the spot; every sixth run repeats the first."""
     rng = np.random.default_rng([seed, 24])
 
     def run(name: str) -> FloorExcitation:
@@ -120,12 +120,12 @@ def floor_walking(seed: int) -> list[Excitation]:
 
 
 def joint_suite(seed: int, robot: str = "bench", poor: bool = False) -> list[Excitation]:
-    """A leg's suite for the joints of any robot on its base, about home, as far as their limits let it be enlarged.
+    """A leg's suite for the joints of any robot on its base, around home, scaled up as far as limits allow.
 
     Args:
-        seed: of amplitudes, frequencies and phases. Equal seeds give equal commands.
+        seed: seed of amplitudes, frequencies and phases. Equal seeds give equal commands.
         robot: a name in `assets/robots`, or the path of a robot file.
-        poor: whether it only walks.
+        poor: whether the joints only move as in walking.
     """
     known = load_robot(robot)
     room = np.minimum(known.home - known.limits[:, 0], known.limits[:, 1] - known.home)

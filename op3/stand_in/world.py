@@ -38,7 +38,7 @@ FORMS: dict[str, tuple[str, ...]] = {
     "bristle_form": get_args(BristleForm),
     "velocity_form": get_args(VelocityForm),
 }
-"""Laws of which a world has one each."""
+"""Laws by kind; a world has one of each."""
 
 Ranges = Mapping[str, Sequence[Any]]
 """Ranges of numbers, low and high, or names of laws."""
@@ -48,7 +48,7 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
     """Ranges for the robots of the hidden-effect bench.
 
     Args:
-        path: of a YAML file with ranges that differ from those of the project, by name; None: none does.
+        path: path of a YAML file with ranges that replace the project's, by name; None: no file.
 
     Raises:
         ValueError: if one is not a range of a quantity that a world has.
@@ -66,60 +66,60 @@ def read_ranges(path: str | Path | None = None) -> Ranges:
 
 
 def check_seed(what: str, seed: Any) -> None:
-    """Refuse a seed that is not a whole number of at least 0."""
+    """Raise an error for a seed that is not an integer of at least 0."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"{what} must be a whole number of at least 0, got {seed!r}")
+        raise ValueError(f"{what} must be an integer of at least 0, got {seed!r}")
 
 
 @settings("world")
 class HiddenWorld:
     """The hidden parameters of one robot and its ground.
 
-    The first eleven are the quantities of the paper's Table I. Identification does not know the others.
+    The first eleven are the parameters of the paper's Table I; identification does not know the others.
 
     Attributes:
         torque_constant: Kt at the motor shaft [N m/A].
-        terminal_resistance: of motor and driver [ohm].
+        terminal_resistance: resistance of motor and driver [ohm].
         armature: rotor inertia at the joint [kg m^2].
         forward_efficiency: share of the motor's torque that reaches the joint when the motor drives.
         backward_efficiency: share of the load that reaches the motor when the load drives.
-        coulomb_friction: [N m].
-        viscous_friction: [N m s/rad].
+        coulomb_friction: Coulomb friction [N m].
+        viscous_friction: viscous friction [N m s/rad].
         static_friction_excess: break-away friction above Coulomb friction [N m].
         base_mass_offset: added to the trunk [kg].
         base_com_offset_x: shift of the trunk's centre of mass forwards [m].
         base_com_offset_z: shift of the trunk's centre of mass upwards [m].
         stribeck_velocity: speed scale of the decay of the excess [rad/s].
-        bristle_stiffness: of the gear teeth and bearings before they slide [N m/rad].
-        bristle_damping: of the same [N m s/rad].
+        bristle_stiffness: stiffness of the gear teeth and bearings before they slide [N m/rad].
+        bristle_damping: damping of the gear teeth and bearings before they slide [N m s/rad].
         joint_spread: half width of the servo-to-servo spread of Kt, friction and resistance, as a ratio.
-        spread_seed: which servos were picked from the shelf.
+        spread_seed: seed of the differences between servos.
         friction_drift: half width of the slow change of friction, as a ratio.
-        friction_drift_period: its period [s].
+        friction_drift_period: period of this change [s].
         torque_noise: standard deviation at the joint [N m].
         torque_noise_bandwidth: corner frequency of that noise [Hz].
         current_lag: time constant of the servo's current loop [s].
         current_offset: standard deviation of each current sensor's zero [A]; the loop regulates what it reads.
         current_noise: standard deviation of a current reading [A].
-        command_latency: from reading the sensors to a new current in the servo [s].
-        latency_jitter: its standard deviation [s].
+        command_latency: time from reading the sensors to a new current in the servo [s].
+        latency_jitter: standard deviation of the latency [s].
         sampling_jitter: standard deviation of the instants at which the computer reads [s].
         velocity_lag: time constant of the servo's velocity estimate [s].
-        bus_voltage: of the battery without load [V].
-        bus_resistance: of battery and harness [ohm].
+        bus_voltage: voltage of the battery without load [V].
+        bus_resistance: resistance of battery and harness [ohm].
         foot_friction: Coulomb coefficient of sole on floor.
         contact_time: time constant of the contact [s].
         gyro_noise: standard deviation of a raw gyro sample at 1 kHz [rad/s].
         gyro_bias: standard deviation of each gyro axis' zero [rad/s].
         accelerometer_noise: standard deviation of a raw accelerometer sample at 1 kHz [m/s^2].
         imu_bandwidth: corner frequency of the IMU's low-pass [Hz].
-        ambient_temperature: [C].
+        ambient_temperature: air temperature [C].
         thermal_resistance: winding to air [K/W].
         thermal_time: time constant of warming up [s].
         placement: standard deviation of each joint angle when the robot is put down [rad].
         mount_frequency: natural frequency of the stand, with the robot in it [Hz]; 0: stiff.
-        mount_damping: its damping ratio.
-        timestep: of the physics [s]; made a whole part of a millisecond.
+        mount_damping: damping ratio of the stand.
+        timestep: physics step [s], rounded so that a millisecond is an integer number of steps.
         loss_form: how the gear loses torque.
         fade_form: form of the decay of static friction with speed.
         viscous_form: whether viscous friction is in proportion to speed.
@@ -236,7 +236,7 @@ class HiddenWorld:
 
         Args:
             name: "random", a name from `world_names`, or the path of a YAML file.
-            seed: of a random world.
+            seed: seed of a random world.
         """
         if name == "random":
             return cls.random(seed)

@@ -19,11 +19,11 @@ class Addresses:
 
     Attributes:
         base: index of its base body.
-        qpos: first of the base's seven numbers in qpos; None where it is bolted to something.
-        dof: first of its six in qvel; None where it is bolted to something.
-        accelerometer: first of three in sensordata; None without an IMU.
-        self_contact: first of two in sensordata: number of contacts, and smallest distance [m].
-        foot_force: first of three in sensordata, above each foot ``[foot]``.
+        qpos: index of the first of the base's seven numbers in qpos; None for a fixed base.
+        dof: index of the first of its six numbers in qvel; None for a fixed base.
+        accelerometer: index of the first of three numbers in sensordata; None without an IMU.
+        self_contact: index of the first of two numbers in sensordata: number of contacts, and smallest distance [m].
+        foot_force: index of the first of three numbers in sensordata for each foot ``[foot]``.
         foot_points: numbers of the sites of the key points ``[foot, point]``.
         inner_tips: numbers of the sites of the feet's inner tips.
         tip: number of the site of an arm's tip; None without one.
@@ -44,7 +44,7 @@ class Addresses:
         """Look up the indices in a compiled scene.
 
         Raises:
-            ValueError: if it has no robot.
+            ValueError: if the scene has no robot.
         """
         entity = scene.robot
         if entity is None:

@@ -18,7 +18,7 @@ class Hold:
 
     Args:
         action_map: the task's action map.
-        p_gain: of every controlled joint [A/rad]; None: the highest, 6 A/rad.
+        p_gain: P gain of every controlled joint [A/rad]; None: the highest, 6 A/rad.
     """
 
     def __init__(self, action_map: ActionMap, p_gain: float | None = None):
@@ -61,14 +61,14 @@ _DUTY_PER_ERROR = 4096 / (2 * pi) / 128 / 885
 
 
 class StiffWalk:
-    """The walk that is shipped with the OP3, on servos in position mode; it needs a model made by `position_mode`.
+    """The walk shipped with the OP3, with servos in position mode; it needs a model from `position_mode`.
 
     Args:
         firmware_gain: position P gain register of the servos.
     """
 
     def __init__(self, firmware_gain: float = POSITION_GAIN):
-        self.gait = SinusoidalGait(step=0.045)  # long enough for 0.3 m/s if no foot slipped
+        self.gait = SinusoidalGait(step=0.045)  # gives 0.3 m/s without foot slip
         self.firmware_gain = firmware_gain
         self._hold = Hold(ActionMap.around_stand(load_robot("op3")))
 
@@ -83,7 +83,7 @@ class StiffWalk:
 
 
 def position_mode(model: RobotModel) -> RobotModel:
-    """The same robot with its servos in position mode: internal loop, driven by voltage, the same latency of commands.
+    """The same model with servos in position mode: internal loop, driven by voltage, with the same command latency.
 
     Raises:
         ValueError: if the model's servos are not driven by current.

@@ -16,7 +16,7 @@ def foot_of(joint: str, robot: Robot) -> int:
     """Index of the foot, in the order of the robot's file, to whose leg a joint belongs.
 
     Raises:
-        ValueError: if it is in no leg.
+        ValueError: if the joint is not in a leg.
     """
     found = [foot for foot, leg in enumerate(robot.legs) if joint in leg]
     if not found:
@@ -57,7 +57,7 @@ def in_stance(log: Rollout, task: str | Task) -> NDArray[np.bool_]:
 
 
 def gains(log: Rollout, task: str | Task) -> dict[str, float]:
-    """Mean P gain [A/rad] of the controlled joints: of all, and of each leg in its stance and its swing.
+    """Mean P gain [A/rad] of all controlled joints, and of the legs in stance and in swing.
 
     Returns:
         ``gain``, and for walking ``gain_stance`` and ``gain_swing``.

@@ -27,13 +27,13 @@ class Velocity:
     """Velocity forwards and to the left [m/s] and rate of turning [rad/s], ``[env, 3]``, in the robot's heading.
 
     A command is drawn uniformly from the ranges and held for an interval. Standing and turning on the spot have
-    separate probabilities: drawn from the ranges alone they would never occur.
+    separate probabilities: draws from the ranges would never give them.
 
     Args:
-        forward: least and greatest [m/s].
-        sideways: least and greatest [m/s].
-        turning: least and greatest [rad/s].
-        interval: how long a command is held [s]; the first one of an episode for a random part of it.
+        forward: smallest and largest speed [m/s].
+        sideways: smallest and largest speed [m/s].
+        turning: smallest and largest rate [rad/s].
+        interval: time for which a command is held [s]; the first command of an episode is held for a random part of it.
         zero_share: probability of standing.
         turn_share: probability of turning on the spot.
         straight_share: probability of moving without turning.
@@ -62,7 +62,7 @@ class Velocity:
     ):
         for name, bounds in (("forward", forward), ("sideways", sideways), ("turning", turning)):
             if len(bounds) != 2 or bounds[0] > bounds[1]:
-                raise ValueError(f"{name} must be a least and a greatest value, got {list(bounds)}")
+                raise ValueError(f"{name} must be a smallest and a largest value, got {list(bounds)}")
         if not interval > 0:
             raise ValueError(f"interval must be above 0 s, got {interval}")
         shares = (zero_share, turn_share, straight_share, single_share)
@@ -120,7 +120,7 @@ class Heading:
     """The heading that follows from a velocity command, ``[env, 1]`` in rad; see `op3.policy.heading`.
 
     Args:
-        rate: name of the command whose last number is a rate of turning.
+        rate: name of the command whose last number is the turning rate.
     """
 
     mirror = (-1.0,)

@@ -25,7 +25,7 @@ PHYSICS_TIMESTEP = 0.001
 
 
 class ComposerTask(composer.Task):
-    """A robot at a task; the action is the policy's.
+    """A robot with a task; its actions are the policy's actions.
 
     Build an environment with `composer_environment`: it takes steps in the order of the batched environment, whose
     observations and rewards this task reproduces up to rounding. A time step has one entry ``observation``, with
@@ -56,7 +56,7 @@ class ComposerTask(composer.Task):
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
-        """Start the episodes of another seed."""
+        """Restart with the episodes of another seed."""
         self._seed, self._episodes = seed, 0
 
     @property
@@ -149,12 +149,12 @@ class ComposerTask(composer.Task):
         return outcome is not None and bool(outcome.terminated | outcome.truncated)
 
     def get_discount(self, physics: Any) -> float:
-        """0 where the robot failed, 1 elsewhere, the time limit included."""
+        """0 after a failure, otherwise 1, including at the time limit."""
         del physics
         return 0.0 if self.outcome is not None and bool(self.outcome.terminated) else 1.0
 
     def _observe(self, physics: Any) -> np.ndarray:
-        """The policy's observation; the first one of an episode is requested after the servos have begun."""
+        """The policy's observation; the first in an episode is requested after the servos have been initialised."""
         if self._begins:
             self.observation, self._begins = self.mdp.begun(self._snapshot(physics)), False
         return self.observation[0].numpy()
@@ -168,7 +168,7 @@ class ComposerTask(composer.Task):
 
 
 def composer_environment(task: ComposerTask, seed: int = 0) -> composer.Environment:
-    """A composer environment whose physics steps are those of the batched environment; diverging ends an episode."""
+    """A composer environment with the same physics steps as the batched environment; divergence ends an episode."""
     return composer.Environment(
         task,
         random_state=np.random.RandomState(seed),

@@ -20,11 +20,11 @@ def episode_seed(seed: int, index: int, episode: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """Episodes that begin now, in some robots of many.
+    """Episodes that begin now in some of the robots.
 
     Attributes:
         rows: numbers of these robots, ``[row]``.
-        seeds: of their episodes, ``[row]``.
+        seeds: seeds of their episodes, ``[row]``.
         qpos: initial positions, ``[row, nq]``; an event may change them.
         qvel: initial velocities, ``[row, nv]``; an event may change them.
     """
@@ -44,13 +44,14 @@ class World:
     """Live arrays of a simulation that events change, ``[env, ...]``.
 
     Attributes:
-        model: of MuJoCo.
+        model: model of MuJoCo.
         qpos: full position.
         qvel: full velocity.
         qfrc_applied: generalised forces, held until they are changed.
         base_wrench: force [N] and torque [N m] on the base in the world, ``[env, 6]``, held until they are changed.
         geom_pos: positions of the geoms in their bodies, ``[env, geom, 3]``; None for a scene without movable geoms.
-        set_parameters: gives servo models other parameters by name, ``[env]``; None where the stepper cannot.
+        set_parameters: function that changes parameters of servo models by name, ``[env]``; None if the simulation
+            cannot.
     """
 
     model: mujoco.MjModel

@@ -23,11 +23,11 @@ COMMAND_WEIGHT, SMOOTH_WEIGHT, STEEPNESS = 0.6, 0.1, (2.0, 2.0)
 def evaluation_rewards(log: Rollout, task: str | Task | None = None) -> Tensor:
     """R_eval of every policy step; the logged rewards for a task without the paper's ``command`` term.
 
-    A step is evaluated with the sensors at its beginning, when its action was chosen; the action before the first
-    counts as equal to it.
+    A step is evaluated with the sensors at its beginning, when its action was chosen; the action before the first is
+    taken as equal to the first.
 
     Args:
-        log: of one episode, with the channels of `op3.envs.record_episodes`.
+        log: log of one episode, with the channels of `op3.envs.record_episodes`.
         task: task of the episode; None: the one that the metadata name in ``extra["task"]``.
 
     Returns:
@@ -70,14 +70,14 @@ def evaluation_terms(
     specific_force: Tensor,
     velocity: Tensor | None,
 ) -> Tensor:
-    """R_eval of steps, ``[...]``; without the term of the velocity if that is not known yet.
+    """R_eval of steps, ``[...]``, without the velocity term if the velocity is not known yet.
 
     Args:
         action: ``[..., action]``.
-        current: of all motors, ``[..., joint]`` in A.
+        current: current of all motors, ``[..., joint]`` in A.
         orientation: roll, pitch and yaw, ``[..., 3]`` in rad.
-        rates: of the body, ``[..., 3]`` in rad/s.
-        specific_force: of the IMU, ``[..., 3]`` in m/s^2.
+        rates: angular rates of the body, ``[..., 3]`` in rad/s.
+        specific_force: specific force of the IMU, ``[..., 3]`` in m/s^2.
         velocity: forwards and sideways, ``[..., 2]`` in m/s; None: `travel_term` adds its part later.
     """
     desired = torch.tensor(task.desired_velocity, dtype=torch.float64)
@@ -109,7 +109,8 @@ def stood(log: Rollout) -> bool:
 
 
 def succeeded(log: Rollout, task: str | Task) -> bool:
-    """Whether an episode succeeded by the task's ``success``; in walking, upright to the end and forwards.
+    """Whether an episode succeeded according to the task's ``success``; for walking, upright until the end and
+    forwards.
 
     A simulated episode has the result in its metadata. For a real one, the measured distance is compared.
     """
@@ -127,14 +128,14 @@ def policy_rows(log: Rollout, rate: float) -> tuple[NDArray[np.intp], NDArray[np
     """Indices of a policy's steps in an episode, and the row of each; a loop may skip rows.
 
     Args:
-        rate: of the policy [Hz].
+        rate: rate of the policy [Hz].
 
     Raises:
-        LogError: if the log's rate is no multiple of it.
+        LogError: if the log's rate is not a multiple of the policy's rate.
     """
     every = log.metadata.rate / rate
     if every < 1 or abs(every - round(every)) > 1e-3:
-        problem = f"the log has {log.metadata.rate:g} rows per second, which is no multiple of {rate:g}"
+        problem = f"the log has {log.metadata.rate:g} rows per second, which is not a multiple of {rate:g}"
         raise LogError(
             problem, "correct rate or policy_rate", source=log.metadata.recording, column="field policy_rate"
         )

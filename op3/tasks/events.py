@@ -32,13 +32,13 @@ BoardMotion = Literal["still", "waves", "tilts", "weight"]
 
 
 class Placement:
-    """Random initial states about the home pose at rest, with standard deviations chosen by us.
+    """Random initial states around the home pose at rest; the standard deviations are op3's choice.
 
     Args:
-        joint_position: of each controlled joint [rad].
-        joint_velocity: of each controlled joint [rad/s].
-        velocity: of a free base, forwards and sideways [m/s].
-        angular_velocity: of a free base's roll and pitch [rad/s].
+        joint_position: standard deviation of each controlled joint's angle [rad].
+        joint_velocity: standard deviation of each controlled joint's velocity [rad/s].
+        velocity: standard deviation of a free base's velocity, forwards and sideways [m/s].
+        angular_velocity: standard deviation of a free base's roll and pitch rates [rad/s].
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Placement:
             if self._first:
                 episodes.qvel[row, 0:2] = velocity * generator.standard_normal(2)
                 episodes.qvel[row, 3:5] = spin * generator.standard_normal(2)
-            # a free base and the joints come first; all else in the scene starts at rest
+            # the base and the joints come first; everything else in the scene starts at rest
             episodes.qvel[row, self._first + moved] = rate * generator.standard_normal(len(moved))
 
 
@@ -116,8 +116,8 @@ class Terrain:
     """Draws the heights of the tiles of the scene ``terrain``.
 
     Args:
-        height: of the highest tile above the floor [m], at most 0.01.
-        steps: probability that every tile has either no height or that height.
+        height: height of the highest tile above the floor [m], at most 0.01.
+        steps: probability that all tiles have either zero height or this height.
     """
 
     def __init__(self, height: float = TILE_HEIGHT, steps: float = 0.0):
@@ -131,7 +131,7 @@ class Terrain:
         """Look up the arrays of the simulation."""
         self._tiles, self._geom_pos = tile_ids(world.model), world.geom_pos
         if self._geom_pos is None:
-            raise ValueError("the scene has no tiles; take scene: terrain")
+            raise ValueError("the scene has no tiles; set scene: terrain")
 
     def heights(self, seed: int) -> Array:
         """Heights of the tiles in the episode of a seed [m], ``[tile]``."""
@@ -148,7 +148,7 @@ class Pushing:
     """Pushes the base in one of eight directions, once at a random time of the gait, or repeatedly.
 
     Args:
-        impulse: of a push [N s].
+        impulse: impulse of a push [N s].
         every: mean time between pushes [s]; None: one push per episode.
         uniform: whether sizes are drawn between 0 and `impulse`.
     """
@@ -183,7 +183,7 @@ class Pushing:
             pushes.replace(episodes.rows, drawn)
 
     def replace(self, rows: NDArray[np.int64], pushes: Sequence[Push]) -> None:
-        """Give robots these pushes instead of those that their episodes drew, one each."""
+        """Replace the drawn pushes of robots, one push per robot."""
         for number, held in enumerate(self._pushes):
             held.replace(rows, pushes if number == 0 else [Push.towards(0, 0.0, 0.0)] * len(rows))
 
@@ -197,7 +197,7 @@ class Randomisation:
 
     Args:
         source: ``ranges``: uniform over the plausible ranges (the paper's Table I). ``intervals``: uniform over the
-            model's own 90 % intervals.
+            model's 90 % intervals.
         names: parameters to draw; None: those of Table I that the model has, or all that have an interval.
     """
 
@@ -214,11 +214,11 @@ class Randomisation:
     def attach(self, world: World) -> None:
         """Look up the arrays of the simulation."""
         if world.set_parameters is None:
-            raise ValueError("only the batched environment draws parameters")
+            raise ValueError("only the batched environment can randomise parameters; use backend='batched'")
         self._set = world.set_parameters
 
     def begin(self, episodes: Episodes) -> None:
-        """Draw robots."""
+        """Draw the parameters of the robots."""
         for row, seed in zip(episodes.rows, episodes.seeds, strict=True):
             for name, value in self._ranges.draw(self._model, int(seed)).items():
                 self.drawn[name][row] = value

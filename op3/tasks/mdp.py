@@ -59,22 +59,22 @@ class Outcome:
 
 
 class Mdp:
-    """A task for a number of robots: its terms and their memory. It simulates nothing.
+    """A task for several robots: its terms and their memory, without a simulation.
 
-    Made and called under ``with torch.device("cuda")``, it and its terms have their tensors there.
+    If it is created and called under ``with torch.device("cuda")``, all its tensors are on that device.
 
     Args:
-        model: of the servos, from which randomisation draws.
+        model: model of the servos, from which randomisation draws.
 
     Attributes:
         readings: latest sensor readings, quantised: joint_position, joint_velocity, orientation and
             angular_velocity, ``[env, joint | 3]``.
         terms: by kind and name.
         state: state at the end of the last policy step.
-        privileged: observations for critics only, ``[env, number]``; see `op3.tasks.privileged`.
+        privileged: observations only for critics, ``[env, number]``; see `op3.tasks.privileged`.
 
     Raises:
-        ValueError: naming the term and the field that is invalid.
+        ValueError: if a term is invalid; the message names the term and the field.
     """
 
     def __init__(self, task: Task, scene: Scene, model: RobotModel, action_map: ActionMap, num_envs: int):
@@ -120,12 +120,12 @@ class Mdp:
         return 0.0 * self.time if cycle is None else torch.remainder(self.time / cycle + self._first_phase, 1.0)
 
     def event(self, name: str) -> Any:
-        """The instance of an event by its name; None if the task has none of this name."""
+        """The instance of an event by name; None if the task has no such event."""
         term = self.terms["events"].get(name)
         return None if term is None else term.target
 
     def set(self, path: str, value: float) -> None:
-        """Change a number of a term, by its path such as ``shaping.speed_bonus.weight``.
+        """Change a number of a term by its path, such as ``shaping.speed_bonus.weight``.
 
         Raises:
             ValueError: if there is no such term or field.
@@ -148,7 +148,7 @@ class Mdp:
 
         Args:
             rows: numbers of the robots, ``[row]``.
-            seeds: of their episodes, ``[row]``.
+            seeds: seeds of their episodes, ``[row]``.
 
         Returns:
             Initial states to set before `begun` is called.
@@ -190,7 +190,7 @@ class Mdp:
         return self.observer.reset(self._sense(snapshot), self._begun, self._noise)
 
     def resting_commands(self, count: int) -> dict[str, Tensor]:
-        """Commands of the servos that are in force when an episode begins, ``[count, joint]``."""
+        """Servo commands at the beginning of an episode, ``[count, joint]``."""
         return self.action_map.commands(self._first_action.expand(count, -1))
 
     def tick(self, time: Array) -> None:
@@ -239,7 +239,7 @@ class Mdp:
         return Outcome(observation, reward, terms, terminated, truncated, success)
 
     def _value(self, kind: str, term: Term, state: State) -> Tensor:
-        """A term's value, which must have one number per robot, or as many as the mirror of a privileged term."""
+        """A term's value, checked to have one number per robot or, for a privileged term, per mirror sign."""
         value, axes, shape = term(state), "[env]", (self.num_envs,)
         if kind == "privileged":
             axes, shape = "[env, sign of its mirror]", (self.num_envs, len(term.target.mirror))
@@ -250,7 +250,7 @@ class Mdp:
         return value.detach()
 
     def _privileged(self, state: State, terms: Mapping[str, Term]) -> Tensor:
-        """Values of privileged terms, ``[env, number]``; 0 where one of the task is not among these."""
+        """Values of privileged terms, ``[env, number]``; 0 for terms of the task without a value."""
         columns = []
         for name, term in self.terms["privileged"].items():
             zeros = torch.zeros(self.num_envs, len(term.target.mirror), dtype=torch.float64)
@@ -258,7 +258,7 @@ class Mdp:
         return torch.cat(columns, 1) if columns else torch.zeros(self.num_envs, 0, dtype=torch.float64)
 
     def _asked(self) -> dict[str, Tensor]:
-        """Commands in force now by name, ``[env, number]``."""
+        """Current commands by name, ``[env, number]``."""
         return {name: term.at(self.time) for name, term in self.terms["commands"].items()}
 
     def _sense(self, snapshot: Snapshot) -> Sensed:
@@ -270,7 +270,7 @@ class Mdp:
 
 
 def _resolutions(robot: Robot) -> dict[str, Tensor]:
-    """Resolution of the readings: ``[joint]`` in rad and rad/s, and ``[1]`` of the IMU."""
+    """Resolution of the readings: ``[joint]`` in rad and rad/s, and ``[1]`` for the IMU."""
 
     def numbers(values: list[float]) -> Tensor:
         return torch.tensor(values, dtype=torch.float64)

@@ -1,9 +1,8 @@
-"""Privileged observations: values that only a simulation has, for critics only.
+"""Privileged observations: values that exist only in simulation, for critics.
 
 Asymmetric actor-critic (Pinto et al. 2017): a policy can only use sensors, while the critics that train it may use
-more. A term is a function or class of the state that returns ``[env, number]``; its attribute ``mirror`` has one sign
-for each number, that of its image in the robot's plane of symmetry. A class has memory and returns 0 when an episode
-begins.
+more. A term is a function or class of the state that returns ``[env, number]``; its attribute ``mirror`` has the sign
+of each number's mirror image in the robot's plane of symmetry. A class has memory and returns 0 when an episode begins.
 """
 
 from __future__ import annotations
@@ -48,8 +47,8 @@ class VelocityError:
     """Velocity minus the commanded velocity [m/s, m/s, rad/s], averaged over a stride.
 
     Args:
-        time_constant: of the average [s].
-        name: of the command.
+        time_constant: time constant of the average [s].
+        name: name of the command.
     """
 
     def __init__(self, num_envs: int, policy_period: float, time_constant: float = 0.5, name: str = "velocity"):

@@ -14,10 +14,10 @@ DIRECTIONS = 8
 """Directions of a push: forwards, then every 45 degrees to the left."""
 
 PUSH_DURATION = 12 * CONTROL_PERIOD
-"""Duration of a push [s]: that of a hand, short compared with the gait cycle."""
+"""Duration of a push [s], similar to a push by hand and short compared with the gait cycle."""
 
 FIRST_PUSH = 1.5
-"""Time from which a robot may be pushed [s]; by then it walks."""
+"""Earliest time of a push [s], when the robot already walks."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Push:
     """A constant force at the trunk's centre of mass for `PUSH_DURATION`.
 
     Attributes:
-        start: time since the episode's beginning, whole ticks of the control [s].
-        impulse: forwards and to the left, as the episode began [N s].
+        start: time since the episode's beginning [s], an integer number of control ticks.
+        impulse: impulse forwards and to the left, relative to the initial heading [N s].
     """
 
     start: float
@@ -54,7 +54,7 @@ class Pushes:
 
     def force(self, time: Array) -> Array:
         """Forces [N] at times of each episode [s], ``[sim]``, in the world: ``[sim, 3]``."""
-        # half a tick of room on both sides: times are whole ticks up to rounding
+        # half a tick of tolerance on both sides, because times are rounded
         since = time - self._start + CONTROL_PERIOD / 2
         now = (since > 0) & (since < PUSH_DURATION)
         return np.where(now[:, None], self._force, 0.0)

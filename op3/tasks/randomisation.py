@@ -1,4 +1,4 @@
-"""Random robot parameters for every episode, from the paper's ranges or from a model's own intervals."""
+"""Random robot parameters for every episode, from the paper's ranges or from a model's intervals."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -29,7 +29,7 @@ class ParameterRanges:
 
     Attributes:
         source: ``ranges``: uniform over the plausible ranges of `names`, which for the paper's parameters are those of
-            Table I. ``intervals``: uniform over the model's own 90 % intervals.
+            Table I. ``intervals``: uniform over the model's 90 % intervals.
         names: parameters to draw; None: those of Table I that the model has, or all that have an interval.
     """
 
@@ -37,7 +37,7 @@ class ParameterRanges:
     names: Sequence[str] | None = None
 
     def bounds(self, model: RobotModel) -> dict[str, tuple[float, float]]:
-        """Lowest and highest value of every parameter that is drawn.
+        """Lowest and highest value of every drawn parameter.
 
         Raises:
             ValueError: if a named parameter is not in the model or has no interval, or there is nothing to draw.

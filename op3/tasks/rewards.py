@@ -1,7 +1,7 @@
 """Reward terms: functions of the state of many robots that return ``[env]``; a task gives each a weight.
 
 ``alive``, ``command``, ``smooth`` and ``bipedal`` are the reward of the paper (eq. 8 and Table II; Siekmann et al.
-2021, eq. 2); the others are ours. Norms are Euclidean. The formulae are separate functions of tensors, which the
+2021, eq. 2); the others are op3's. Norms are Euclidean. The formulae are separate functions of tensors, which the
 evaluation of a log also uses.
 """
 
@@ -54,9 +54,9 @@ FOOT_OFFSETS = {2: (0.0, 0.5), 4: (0.0, 0.5, 0.5, 0.0)}
 in diagonal pairs (a trot), where the file names both front feet and then both hind feet."""
 
 LOADED_SHARE = 0.648
-"""Force at which a foot counts as loaded, as a share of the weight that it carries when all stand.
+"""Force above which a foot counts as loaded, as a share of the weight that it carries when all feet stand.
 
-Siekmann et al. (2021) take 10 N; of the OP3, half of which weighs 15.4 N, that is this share.
+Siekmann et al. (2021) use 10 N, which is this share of 15.4 N, half the weight of the OP3.
 """
 
 
@@ -66,13 +66,13 @@ def _penalty(size: Tensor) -> Tensor:
 
 
 def command_term(velocity: Tensor, desired: Tensor, orientation: Tensor, forward: float, sideways: float) -> Tensor:
-    """R_cmd: how far the body is from the commanded velocity and from upright, in [-3, 0].
+    """R_cmd: penalty on the deviation from the commanded velocity and from upright, in [-3, 0].
 
     Args:
-        velocity: of the body forwards and sideways, ``[..., 2]`` in m/s.
+        velocity: velocity of the body forwards and sideways, ``[..., 2]`` in m/s.
         forward: K_xd, steepness of the penalty on forward speed [s/m].
         sideways: K_yd, steepness of the penalty on sideways speed [s/m].
-        orientation: roll and pitch, more columns are ignored, ``[..., 2 | 3]`` in rad; level is desired.
+        orientation: roll and pitch, ``[..., 2 | 3]`` in rad; further columns are ignored, and level is desired.
     """
     error = (desired - velocity).abs()
     return (
@@ -100,7 +100,7 @@ def smooth_term(action_change: Tensor, current: Tensor, motion: Tensor) -> Tenso
 
 
 def _swing_series(terms: int = 24) -> tuple[Tensor, Tensor]:
-    """Fourier coefficients of the smoothed swing indicator: those of the interval times those of von Mises."""
+    """Fourier coefficients of the smoothed swing indicator, those of the interval times those of von Mises."""
     n = np.arange(1, terms + 1)
     swing = 1.0 - STANCE_SHARE
     weight = 2.0 * np.sin(np.pi * n * swing) / (np.pi * n) * ive(n, PHASE_CONCENTRATION) / ive(0, PHASE_CONCENTRATION)
@@ -111,9 +111,10 @@ _WEIGHT, _FREQUENCY = _swing_series()
 
 
 def swing_probability(phase: Tensor) -> Tensor:
-    """Probability that a foot is in swing at its phase [cycles]: 1 in the middle of [0, 0.3], 0 in that of [0.3, 1].
+    """Probability that a foot is in swing at its phase [cycles]: 1 in the middle of [0, 0.3], 0 in the middle of [0.3,
+    1].
 
-    The interval's boundaries are smoothed with a von Mises density, as its Fourier series.
+    The interval's boundaries are smoothed with a von Mises density, computed as a Fourier series.
     """
     swing = 1.0 - STANCE_SHARE
     angle = (phase - swing / 2).double()[..., None] * _FREQUENCY.to(phase.device)
@@ -124,14 +125,14 @@ def swing_of_feet(phase: Tensor, feet: int = 2) -> Tensor:
     """Probability that each foot is in swing, ``[..., foot]``.
 
     Args:
-        phase: of the gait, ``[...]`` in cycles.
-        feet: their number, a key of `FOOT_OFFSETS`.
+        phase: phase of the gait, ``[...]`` in cycles.
+        feet: number of feet, a key of `FOOT_OFFSETS`.
     """
     return swing_probability(phase.double()[..., None] + torch.tensor(FOOT_OFFSETS[feet], dtype=torch.float64))
 
 
 def loaded_force(robot: Robot) -> float:
-    """Force at which one of its feet counts as loaded [N]."""
+    """Force above which one of the robot's feet counts as loaded [N]."""
     return LOADED_SHARE * float(robot.bare_model.body_mass.sum()) * GRAVITY / len(robot.file.feet)
 
 
@@ -143,10 +144,10 @@ def bipedal_term(swing: Tensor, foot_force: Tensor, foot_speed: Tensor, loaded: 
     Args:
         swing: probability that each foot is in swing, ``[..., foot]``.
         foot_force: size of the force on each foot, ``[..., foot]`` in N.
-        foot_speed: of the feet over the ground, ``[..., foot]`` in m/s.
+        foot_speed: speed of the feet over the ground, ``[..., foot]`` in m/s.
         loaded: force at which a foot counts as loaded [N].
     """
-    # twice the mean is the sum over two feet, and weighs a gait of four alike
+    # twice the mean equals the sum for two feet and gives the same weight to a gait with four
     loading = _penalty((foot_force / loaded).square())
     moving = _penalty(2.0 * foot_speed.square())
     return 2.0 * (swing * loading + (1.0 - swing) * moving).mean(-1)
@@ -156,7 +157,7 @@ def body_acceleration(specific_force: Tensor, orientation: Tensor) -> Tensor:
     """Acceleration of the body without gravity, in its own frame, ``[..., 3]`` in m/s^2.
 
     Args:
-        specific_force: what an accelerometer reads, +9.81 upwards at rest, ``[..., 3]`` in m/s^2.
+        specific_force: accelerometer reading, +9.81 upwards at rest, ``[..., 3]`` in m/s^2.
         orientation: roll, pitch and yaw, ``[..., 3]`` in rad.
     """
     roll, pitch = orientation[..., 0], orientation[..., 1]
@@ -165,7 +166,7 @@ def body_acceleration(specific_force: Tensor, orientation: Tensor) -> Tensor:
 
 
 def alive(state: State) -> Tensor:
-    """1: the constant of eq. (8), earned by every step without a fall."""
+    """The constant 1 of eq. (8), earned in every step without a fall."""
     return torch.ones_like(state.time)
 
 
@@ -177,8 +178,8 @@ def command(
     Args:
         forward: K_xd, steepness of the penalty on forward speed [s/m].
         sideways: K_yd, steepness of the penalty on sideways speed [s/m].
-        velocity: desired, forwards and to the left in the world [m/s].
-        name: of a command of the task that is desired instead, in the heading of the robot.
+        velocity: desired velocity, forwards and to the left in the world [m/s].
+        name: name of a command that is desired instead, in the robot's heading frame.
     """
     if name is None:
         desired, actual = torch.tensor(velocity, dtype=torch.float64), state.base_velocity
@@ -197,7 +198,7 @@ def bipedal(state: State, robot: Robot, name: str | None = None) -> Tensor:
     """R_bipedal of the paper, for two or four feet.
 
     Args:
-        name: of a command at whose zero all feet should stand; None: the gait never stops.
+        name: name of a command; all feet should stand while it is zero. None: the gait never stops.
     """
     return bipedal_term(_swing(state, name), state.step.foot_force, state.step.foot_speed, loaded_force(robot))
 
@@ -207,7 +208,7 @@ def clearance(state: State, height: float = 0.02, name: str | None = None) -> Te
 
     Args:
         height: clearance from which the penalty is zero [m].
-        name: as of `bipedal`.
+        name: name of a command, as for `bipedal`.
     """
     low = (1.0 - state.step.foot_clearance / height).clamp(min=0.0)
     return -2.0 * (_swing(state, name) * low).mean(-1)
@@ -217,8 +218,8 @@ def planted(state: State, height: float = 0.02, name: str | None = None) -> Tens
     """Penalty on raised heels and toes of standing feet: twice their mean relative height, in [-2, 0].
 
     Args:
-        height: that of a foot's highest key point from which the penalty is largest [m].
-        name: as of `bipedal`.
+        height: height of a foot's highest key point at which the penalty reaches its maximum [m].
+        name: name of a command, as for `bipedal`.
     """
     high = (state.step.foot_rise / height).clamp(max=1.0)
     return -2.0 * ((1.0 - _swing(state, name)) * high).mean(-1)
@@ -233,16 +234,16 @@ def _swing(state: State, name: str | None) -> Tensor:
 
 
 def self_contact(state: State) -> Tensor:
-    """Share of the step in which the robot touches itself, negative."""
+    """Penalty on self-contact: minus the share of the step in which the robot touches itself."""
     return -state.step.self_contact
 
 
 def overload(state: State, robot: Robot) -> Tensor:
-    """Penalty on currents that a servo cannot carry for long, in [-1, 0].
+    """Penalty on currents above the continuous rating of a servo, in [-1, 0].
 
     An episode is much shorter than the minute over which a robot averages currents before it limits them, so a policy
-    that must stand for longer needs this penalty. Heat goes with the square of the current; half of a servo's
-    continuous current costs nothing.
+    that must stand for longer needs this penalty. Heat is proportional to the squared current; up to half of a servo's
+    continuous current is free.
     """
     continuous = torch.tensor([servo.continuous_current for servo in robot.servos], dtype=torch.float64)
     load = (state.joint_current / continuous).square()
@@ -253,8 +254,8 @@ def speed_bonus(state: State, velocity: float = 0.3, name: str | None = None) ->
     """Forward speed up to a desired one [m/s]; standing still is a local optimum of the paper's reward.
 
     Args:
-        velocity: desired, forwards in the world [m/s].
-        name: of a command whose direction and speed are desired instead.
+        velocity: desired forward velocity in the world [m/s].
+        name: name of a command whose direction and speed are desired instead.
     """
     if name is None:
         return state.base_velocity[:, 0].clamp(-abs(velocity), abs(velocity))
@@ -269,8 +270,8 @@ class TrackVelocity:
         forward: steepness of the penalty on forward speed [s/m].
         sideways: steepness of the penalty on sideways speed [s/m].
         turning: steepness of the penalty on the rate of turning [s/rad].
-        time_constant: of the average [s].
-        name: of the command.
+        time_constant: time constant of the average [s].
+        name: name of the command.
     """
 
     def __init__(
@@ -297,16 +298,16 @@ class TrackVelocity:
 
 
 def heading(state: State, steepness: float = 4.0) -> Tensor:
-    """Penalty on the difference of the robot's heading from the commanded one, in [-1, 0].
+    """Penalty on the difference between the robot's heading and the commanded heading, in [-1, 0].
 
     Args:
-        steepness: of the penalty [1/rad].
+        steepness: steepness of the penalty [1/rad].
     """
     return _penalty(steepness * wrapped(state.orientation[:, 2] - state.commands["heading"][:, 0]).abs())
 
 
 def upright(state: State) -> Tensor:
-    """Roll and pitch of the base, in [-1, 0]."""
+    """Penalty on roll and pitch of the base, in [-1, 0]."""
     return _penalty(4.0 * norm(state.orientation[:, :2]))
 
 
@@ -314,12 +315,12 @@ def distance_to_target(state: State, name: str = "target", scale: float = 0.1) -
     """Penalty on the distance of an arm's tip from its commanded position, in [-1, 0].
 
     Args:
-        name: of the command, a position relative to the base [m].
+        name: name of the command, a position relative to the base [m].
         scale: distance at which 63 % of the penalty is reached [m].
     """
     return _penalty(norm(state.tip_position - state.commands[name]) / scale)
 
 
 def action_rate(state: State) -> Tensor:
-    """Change of the action, in [-1, 0]."""
+    """Penalty on changes of the action, in [-1, 0]."""
     return _penalty(0.1 * norm(state.action - state.previous_action))

@@ -1,4 +1,4 @@
-"""Robots at one time: sensor readings, and values that only a simulator has."""
+"""Robots at one time: sensor readings, and values that exist only in simulation."""
 
 # MuJoCo's types come from compiled modules without stubs, which the type checker cannot read.
 # pyright: reportAttributeAccessIssue=false
@@ -24,14 +24,14 @@ class Snapshot:
     Attributes:
         readings: sensor readings before quantisation: joint_position [rad], joint_velocity [rad/s], orientation [rad],
             angular_velocity [rad/s].
-        current: of the motors, ``[sim, joint]`` in A.
-        specific_force: of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
+        current: current of the motors, ``[sim, joint]`` in A.
+        specific_force: specific force of the IMU, ``[sim, 3]`` in m/s^2; zeros without one.
         place: position of the base's origin in the world, ``[sim, 3]`` in m.
-        height: of the base's origin above the ground's, ``[sim]`` in m.
-        velocity: of the base in the world, ``[sim, 3]`` in m/s.
-        quaternion: of the base in the world, ``[sim, 4]``, w first.
+        height: height of the base's origin above the ground's, ``[sim]`` in m.
+        velocity: velocity of the base in the world, ``[sim, 3]`` in m/s.
+        quaternion: quaternion of the base in the world, ``[sim, 4]``, w first.
         tip: forward position of the inner tip of the foremost foot in the world, ``[sim]`` in m; None without a gait.
-        tip_position: of an arm's tip relative to the base, in its frame, ``[sim, 3]`` in m; None without one.
+        tip_position: position of an arm's tip relative to the base, in its frame, ``[sim, 3]`` in m; None without one.
     """
 
     readings: dict[str, Tensor]
@@ -45,14 +45,14 @@ class Snapshot:
     tip_position: Tensor | None = None
 
     def at_the_end(self, step: StepStatistics) -> StepStatistics:
-        """A policy step with constant currents and body motion, equal to the present ones."""
+        """A policy step with constant currents and body motion, equal to the present values."""
         acceleration = rewards.norm(rewards.body_acceleration(self.specific_force, self.readings["orientation"]))
         rate = rewards.norm(self.readings["angular_velocity"])
         return step.replace(current=rewards.norm(self.current), angular_velocity=rate, acceleration=acceleration)
 
 
 def to_device(values: Any, device: torch.device) -> Any:
-    """A tensor, a mapping of tensors, or a snapshot or the like, on a device."""
+    """A tensor, a mapping of tensors or an object of tensors, moved to a device."""
     if isinstance(values, Mapping):
         return {name: to_device(value, device) for name, value in values.items()}
     if is_dataclass(values):
@@ -64,7 +64,7 @@ class Probe:
     """Takes snapshots of robots from the arrays of their simulation.
 
     Args:
-        feet: whether to read the feet, as walking needs.
+        feet: whether to read the feet, which walking needs.
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, feet: bool):
@@ -91,10 +91,10 @@ class Probe:
             sensordata: ``[sim, nsensordata]``.
             bodies: positions ``[sim, body, 3]`` and quaternions ``[sim, body, 4]``.
             site_xpos: ``[sim, site, 3]``.
-            channels: what the servos and the IMU measure, as `op3.sim.BatchSimulation.measure` gives it.
+            channels: readings of servos and IMU, from `op3.sim.BatchSimulation.measure`.
         """
         count = len(qpos)
-        if self._base is None or self._base_dof is None:  # bolted to something
+        if self._base is None or self._base_dof is None:  # fixed base
             position, quaternion = bodies[0][:, self._body], bodies[1][:, self._body]
             velocity = torch.zeros(count, 3, dtype=torch.float64)
         else:

@@ -20,9 +20,9 @@ class State:
         snapshot: the robots at the end of the step.
         step: means and peaks over the step; with ``whole_step: false`` in the task, values at its end.
         action: taken in the step, ``[env, action]`` in [-1, 1].
-        previous_action: the one before.
-        time: since each episode began [s], ``[env]``.
-        phase: of the gait in cycles, ``[env]``; zeros for a task without a gait.
+        previous_action: action of the previous step.
+        time: time since each episode began [s], ``[env]``.
+        phase: phase of the gait in cycles, ``[env]``; zeros for a task without a gait.
         commands: current commands by name, ``[env, number]``.
     """
 
@@ -84,7 +84,7 @@ class State:
         return torch.stack([cosine * x + sine * y, cosine * y - sine * x, (upwards * self.angular_velocity).sum(1)], -1)
 
     def along(self, command: str) -> tuple[Tensor, Tensor]:
-        """Speed in the direction of a commanded velocity, and the commanded speed, ``[env]`` in m/s."""
+        """Speed along a commanded velocity, and the commanded speed, ``[env]`` in m/s."""
         asked = self.commands[command][:, :2]
         speed = torch.linalg.vector_norm(asked, dim=1)
         return (self.heading_velocity[:, :2] * asked).sum(1) / speed.clamp(min=1e-9), speed
@@ -93,5 +93,5 @@ class State:
     def tip_position(self) -> Tensor:
         """Position of an arm's tip relative to its base, in the base's frame, ``[env, 3]`` in m."""
         if self.snapshot.tip_position is None:
-            raise ValueError("the robot's file has no tip")
+            raise ValueError("the robot file has no tip; add tip: <site at the end of the arm>")
         return self.snapshot.tip_position

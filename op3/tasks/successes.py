@@ -1,6 +1,6 @@
 """Success terms: functions of the state of many robots that return whether each has reached its goal, ``[env]``.
 
-An episode succeeds if it does not fail, and all of these hold at its last step.
+An episode succeeds if it does not fail and all these terms hold at its last step.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Travelled:
     """The base has moved forward in the world by at least a distance since its episode began.
 
     Args:
-        distance: least [m].
+        distance: smallest distance [m].
     """
 
     def __init__(self, num_envs: int, distance: float):
@@ -33,7 +33,7 @@ class Travelled:
         self._new |= rows
 
     def __call__(self, state: State) -> Tensor:
-        """Whether each robot has moved so far, ``[env]``; the first step of an episode counts as its start."""
+        """Whether each robot has moved this far, ``[env]``; the first step of an episode counts as its start."""
         place = state.snapshot.place[:, 0]
         self._start = torch.where(self._new, place, self._start)
         self._new = torch.zeros_like(self._new)
@@ -44,7 +44,7 @@ def at_target(state: State, distance: float, name: str = "target") -> Tensor:
     """The tip of an arm is within a distance of its target.
 
     Args:
-        distance: largest [m].
-        name: of the command, a position relative to the base [m].
+        distance: largest distance [m].
+        name: name of the command, a position relative to the base [m].
     """
     return torch.linalg.vector_norm(state.tip_position - state.commands[name], dim=-1) <= distance

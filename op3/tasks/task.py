@@ -30,7 +30,7 @@ POLICY_PERIOD = TICKS * CONTROL_PERIOD
 """Time between policy steps [s]."""
 
 Terms = Named[Any]
-"""Terms by name, each a mapping of ``function`` (unless the name is that of the function), parameters and options."""
+"""Terms by name; each maps ``function`` (unless it equals the name), parameters and options to values."""
 
 
 @settings("gait")
@@ -55,17 +55,17 @@ class Task:
     """A task. `op3.policy.terms.Term` finds its terms; a term set to null is omitted.
 
     Attributes:
-        name: of the task.
+        name: name of the task.
         robot: name or path of the file of the robot.
         scene: name for `op3.scenes.build_scene`.
         duration: time limit of an episode [s].
-        history: number of earlier observations that the policy gets besides the latest.
+        history: number of earlier observations that the policy receives in addition to the latest.
         gait: clock of a gait; None for a task without one.
         actions: ``position: {span: <rad>, joints: <names>}`` and ``p_gain: {low: <A/rad>, high: <A/rad>}``; without
             ``p_gain`` the servos close their own loop.
         observations: terms of `op3.policy.observations`.
         rewards: terms of `op3.tasks.rewards` that define the task, each with a ``weight``.
-        shaping: terms that only help learning, likewise.
+        shaping: terms that only help learning, each with a ``weight``.
         terminations: terms of `op3.tasks.terminations`.
         success: terms of `op3.tasks.successes`; without any, an episode succeeds if it does not fail.
         events: terms of `op3.tasks.events`.
@@ -74,7 +74,7 @@ class Task:
         curricula: by the path of a number, such as ``shaping.speed_bonus.weight``, pairs of steps and value, linearly
             interpolated; only in training.
         whole_step: whether rewards use means of currents and body motion over the policy step, or only the values at
-            its end, which miss most of a landing.
+            its end, which miss most of the impact of a landing.
     """
 
     name: Text
@@ -97,7 +97,7 @@ class Task:
 
     def __post_init__(self):
         if twice := set(self.terms("rewards")) & set(self.terms("shaping")):
-            raise ValueError(f"task {self.name}: {min(twice)!r} is a term of rewards and of shaping; rename one")
+            raise ValueError(f"task {self.name}: {min(twice)!r} is a term both of rewards and of shaping; rename one")
         for kind, terms in (("rewards", self.reward_terms), ("observations", self.terms("observations"))):
             if not terms:
                 raise ValueError(f"task {self.name}: {kind} has no term; give at least one")
@@ -132,7 +132,7 @@ class Task:
 
     @property
     def reward_terms(self) -> tuple[str, ...]:
-        """Names of all contributions to the training reward."""
+        """Names of all terms in the training reward."""
         return (*self.terms("rewards"), *self.terms("shaping"))
 
     def action_map(self) -> ActionMap:
@@ -141,7 +141,7 @@ class Task:
 
     @property
     def layout(self) -> dict[str, int]:
-        """Parts of one observation and their widths."""
+        """Names and widths of the parts of one observation."""
         return self.observer(self.action_map().size).layout
 
     @property
@@ -158,7 +158,7 @@ class Task:
         """Images of the task's observations and actions in the robot's plane of symmetry.
 
         Raises:
-            ValueError: naming the part that has no mirror image.
+            ValueError: if a part has no mirror image; the message names it.
         """
         robot = load_robot(self.robot)
         images = {name: getattr(term.target, "mirror", None) for name, term in self._commands(robot).items()}
@@ -197,7 +197,7 @@ class Task:
         )
 
     def check_policy(self, manifest: Manifest, name: str) -> None:
-        """Refuse a policy that cannot attempt the task; a ValueError that begins with its name."""
+        """Raise a ValueError that begins with the policy's name if the policy does not fit the task."""
         made, here = manifest.action_map.robot, load_robot(self.robot)
         if load_robot(made).name != here.name:
             raise ValueError(f"{name} was trained for the robot {made}, the task's is {here.name}; add robot={made}")
@@ -208,7 +208,7 @@ class Task:
             raise ValueError(f"{name} does not fit task {self.name}: {error}") from None
 
     def changed(self, changes: Mapping[str, Any]) -> Task:
-        """The task with other values, by dotted path such as ``gait.first_phase``; a path may be new."""
+        """The task with changed values, by dotted path such as ``gait.first_phase``; paths may be new."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         values["gait"] = None if self.gait is None else vars(self.gait)
         tree = OmegaConf.create({name: _plain(value) for name, value in values.items()})
@@ -250,7 +250,7 @@ def find_task(task: str | Task, changes: Mapping[str, Any] | None = None, **valu
 
 
 def _read(name: str, beside: Mapping[str, Path]) -> DictConfig:
-    """A task's file with the files of its defaults below it, as Hydra composes them.
+    """A task's content, merged with the files in its defaults as Hydra does.
 
     Args:
         beside: files by name, used instead of the project's.

@@ -19,7 +19,7 @@ __all__ = ["CommandedCollision", "Lag", "height", "tilt"]
 
 
 def tilt(state: State, angle: float) -> Tensor:
-    """The base rolls or pitches further than an angle [rad]."""
+    """The base rolls or pitches by more than an angle [rad]."""
     return state.orientation[:, :2].abs().amax(1) > angle
 
 
@@ -29,14 +29,14 @@ def height(state: State, robot: Robot, share: float) -> Tensor:
 
 
 class Lag:
-    """The robot lags behind the position that a desired forward speed gives, by more than a distance.
+    """The robot lags by more than a distance behind the position that a desired forward speed gives.
 
     Stepping in place earns the upright reward and is a local optimum; this termination removes it in training.
 
     Args:
-        distance: largest [m].
+        distance: largest lag [m].
         velocity: desired forward speed [m/s].
-        name: of a command whose direction and speed are desired instead; at a zero command no robot lags.
+        name: name of a command whose direction and speed are desired instead; at a zero command no robot lags.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class CommandedCollision:
     """The commanded angles make parts of the robot overlap, as in the check of `op3 deploy`.
 
     Args:
-        overlap: largest depth [m].
+        overlap: largest allowed depth [m].
     """
 
     def __init__(self, robot: Robot, action_map: ActionMap, overlap: float = LARGEST_OVERLAP_AHEAD):
@@ -73,7 +73,7 @@ class CommandedCollision:
         self._parts = SelfCollision(robot, margin=0.0)
 
     def __call__(self, state: State) -> Tensor:
-        """Whether they do, ``[env]``."""
+        """Whether parts overlap, ``[env]``."""
         commands = self._action_map.commands(state.action)
         inputs = (state.joint_position, commands["position_target"], commands["p_gain"])
         position, target, p_gain = (values.cpu().numpy() for values in inputs)  # MuJoCo runs on the CPU

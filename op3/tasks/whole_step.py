@@ -27,16 +27,16 @@ class StepStatistics:
 
     Attributes:
         current: norm of the currents of all motors together [A].
-        angular_velocity: norm of that of the base [rad/s]; zeros where it is bolted to something.
-        acceleration: norm of that of the base, without gravity [m/s^2]; zeros without an IMU.
+        angular_velocity: norm of the base's angular velocity [rad/s]; zeros for a fixed base.
+        acceleration: norm of the base's acceleration without gravity [m/s^2]; zeros without an IMU.
         self_contact: share of the step in which the robot touches itself.
         foot_force: norm of the force above each foot, ``[sim, foot]`` in N; no columns for tasks without a gait.
-        foot_speed: path of the middle of a foot's key points per time, ``[sim, foot]`` in m/s.
+        foot_speed: mean speed of the centre of a foot's key points, ``[sim, foot]`` in m/s.
         foot_clearance: height of a foot's lowest key point above that of the lowest foot, ``[sim, foot]`` in m.
         foot_rise: height of a foot's highest key point above the lowest of all feet, ``[sim, foot]`` in m.
         peak_force: largest force on a foot [N].
         peak_acceleration: largest acceleration of the base [m/s^2].
-        peak_penetration: how deep one part of the robot entered another [m].
+        peak_penetration: largest depth to which one part of the robot entered another [m].
     """
 
     current: Tensor
@@ -58,7 +58,7 @@ class StepStatistics:
         return cls(*[whole] * 4, *[of_feet] * 4, *[whole] * 3)
 
     def replace(self, **values: Tensor) -> StepStatistics:
-        """A copy with other values of some attributes."""
+        """A copy with changed attributes."""
         return replace(self, **values)
 
 
@@ -66,7 +66,7 @@ class WholeStep:
     """Accumulates the values of `StepStatistics` from live arrays of a simulation.
 
     Args:
-        feet: whether to read the feet, as tasks with a gait need.
+        feet: whether to read the feet, which tasks with a gait need.
     """
 
     def __init__(self, model: mujoco.MjModel, scene: Scene, num_sims: int, feet: bool):
@@ -92,7 +92,7 @@ class WholeStep:
             self._feet[:] = site_xpos[:, self._points].mean(2)
 
     def look(self, qpos: Array, qvel: Array, sensordata: Array, site_xpos: Array, current: Array) -> None:
-        """After a step of the physics; arrays ``[sim, ...]``, `current` in A."""
+        """Add a step of the physics; arrays ``[sim, ...]``, `current` in A."""
         self._samples += 1
         _add(
             self._sums, self._peaks, self._feet_sums, self._feet, qpos, qvel, sensordata, site_xpos, current,

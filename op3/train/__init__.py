@@ -1,4 +1,4 @@
-"""Algorithms that learn policies, and the loop in which they do."""
+"""Learning algorithms for policies, and the training loop."""
 
 import logging
 import warnings
@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from op3.common.lazy import lazy
 
-with warnings.catch_warnings():  # TorchRL warns of classes of its own
+with warnings.catch_warnings():  # TorchRL warns about its own classes
     warnings.simplefilter("ignore", DeprecationWarning)
     import torchrl.collectors  # noqa: F401
-logging.getLogger("torchrl").setLevel(logging.WARNING)  # and says whenever it makes a storage
+logging.getLogger("torchrl").setLevel(logging.WARNING)  # and logs every created storage
 
 # isort: split
 from op3.train.algorithm import Algorithm, AlgorithmSettings, Explorer

@@ -32,12 +32,12 @@ class AlgorithmSettings:
 
     Attributes:
         hidden: units of the policy's hidden layers.
-        activation: of the policy's hidden layers.
-        critic_hidden: units of the critics' hidden layers; those of the policy where None.
+        activation: activation of the policy's hidden layers.
+        critic_hidden: units of the critics' hidden layers; None: as in the policy.
         rollout: steps of every environment per rollout.
-        discount: per policy step.
+        discount: discount per policy step.
         initial_std: standard deviation of the untrained policy before tanh.
-        largest_std: bound of the standard deviation; a small one keeps exploration where critics have data.
+        largest_std: bound of the standard deviation; a small value keeps exploration where critics have data.
         clip: bound of a normalised observation.
         averaging: decay per update of a running average of the policy's weights. The policy that is evaluated and kept
             has the average, or the latest weights if this is 0.
@@ -62,12 +62,12 @@ class Algorithm(nn.Module, ABC):
     seeds whenever all episodes restart.
 
     Args:
-        environment: batched, with ``observation`` and ``action`` in [-1, 1].
+        environment: batched environment with ``observation`` and ``action`` in [-1, 1].
         seed: seed of the initial weights.
-        initial_action: mean action [action] of the untrained policy; zeros where None.
+        initial_action: mean action [action] of the untrained policy; None: zeros.
         mirror: the environment's plane of symmetry, for algorithms that use it.
-        device: of the networks.
-        **settings: of the algorithm, see its `Settings`.
+        device: device of the networks.
+        **settings: settings of the algorithm, see its `Settings`.
 
     Raises:
         ValueError: if a setting is unknown or impossible.
@@ -105,7 +105,7 @@ class Algorithm(nn.Module, ABC):
         self.build()
         self.to(self.device)
         self.optimise()
-        self._explorer = (self.make_explorer(),)  # in a tuple, and so no part of the state dictionary
+        self._explorer = (self.make_explorer(),)  # in a tuple, which keeps it out of the state dictionary
         self.restart(seed)
 
     @abstractmethod
@@ -114,7 +114,7 @@ class Algorithm(nn.Module, ABC):
 
     @abstractmethod
     def optimise(self) -> None:
-        """Make the `optimisers`, by name."""
+        """Make the optimisers by name."""
 
     @abstractmethod
     def take(self, rollout: TensorDictBase) -> Measures:
@@ -164,9 +164,9 @@ class Algorithm(nn.Module, ABC):
         known, chosen = policy.manifest, self.settings
         if shapes[0] != shapes[1] or known.activation != chosen.activation:
             raise ValueError(
-                f"the policy to start from has hidden layers {list(known.hidden)} ({known.activation}) and "
+                f"the initial policy has hidden layers {list(known.hidden)} ({known.activation}) and "
                 f"{known.observation_size} observations, this run {list(chosen.hidden)} ({chosen.activation}) and "
-                f"{self.observation_size}; use the settings that it was trained with"
+                f"{self.observation_size}; use the settings of its training"
             )
         with torch.no_grad():
             for name, value in here.items():
@@ -237,7 +237,7 @@ class Algorithm(nn.Module, ABC):
             optimiser.load_state_dict(state[name])
 
     def _policy_weights(self, network: PolicyNetwork) -> dict[str, Tensor]:
-        """The tensors of a bundle, as views of this policy's."""
+        """The tensors of a bundle, as views of this policy's tensors."""
         weights: dict[str, Tensor] = {
             "observation.mean": self.normaliser.mean[: self.observation_size],
             "observation.scale": self.normaliser.scale[: self.observation_size],
@@ -253,8 +253,8 @@ class Explorer(TensorDictModuleBase):
     """A frozen copy of a policy with separate exploration, whose noise increases from the first to the last robot.
 
     Args:
-        normaliser: of the policy.
-        network: of the policy.
+        normaliser: normaliser of the policy.
+        network: network of the policy.
         count: number of robots.
         scored: whether to store the log probability of actions, as ``action_log_prob``.
     """

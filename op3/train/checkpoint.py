@@ -1,4 +1,4 @@
-"""Checkpoints that are written atomically, and stopping between two steps."""
+"""Checkpoints that are written atomically, and stopping between steps."""
 
 import pickle
 import signal
@@ -18,10 +18,10 @@ FORMAT = "op3-checkpoint/2"
 
 
 def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
-    """Write tensors and plain values; a kill at any time leaves the old file or the new one.
+    """Write tensors and plain values atomically: after a kill the old or the new file exists.
 
     Args:
-        path: of the file.
+        path: path of the file.
         state: nested dictionaries and lists of tensors, numbers and texts.
     """
     path = Path(path)
@@ -33,12 +33,12 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     """Read a checkpoint; nothing in the file is executed.
 
     Raises:
-        FileNotFoundError: if there is none.
-        ValueError: if the file is no checkpoint of this version.
+        FileNotFoundError: if the file does not exist.
+        ValueError: if the file is not a checkpoint of this version.
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no checkpoint there; start without resume")
+        raise FileNotFoundError(f"{path}: there is no checkpoint; start without resume")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError) as error:
@@ -53,7 +53,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 def stop_requested() -> Iterator[threading.Event]:
     """An event that SIGTERM and SIGINT set instead of ending the process; a second SIGINT interrupts at once.
 
-    Outside the main thread signals cannot be caught, and the event is never set.
+    Signals can only be caught in the main thread; elsewhere the event is never set.
     """
     event = threading.Event()
     if threading.current_thread() is not threading.main_thread():

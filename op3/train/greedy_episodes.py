@@ -21,15 +21,15 @@ def evaluate(
     """Evaluate a policy over one episode of each environment.
 
     Args:
-        environment: batched, [env]; it is seeded and reset, so that a seed gives the same episodes each time.
+        environment: batched environment [env], which is seeded and reset so that a seed gives the same episodes.
         policy: chooses the actions.
-        seed: of the episodes.
+        seed: seed of the episodes.
         longest: largest number of steps of an episode; longer episodes count as survived.
-        watch: called before each step with the actions [env, action] and which environments [env] are still in it.
+        watch: function called before each step with the actions [env, action] and a mask [env] of running environments.
 
     Returns:
         ``return`` and ``length`` (mean over the episodes), and the shares ``upright``, not terminated, and ``success``,
-        where the environment has such a ``measure``.
+        if the environment has such a ``measure``.
     """
     environment.set_seed(seed)
     now, count = environment.reset(), environment.batch_size[0]

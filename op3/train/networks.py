@@ -13,7 +13,7 @@ SMALLEST_STD, LARGEST_STD = math.exp(-5.0), 2.7
 """Bounds of a policy's standard deviation, before tanh."""
 
 SMALLEST_SCALE = 0.01
-"""Floor of the scale of an observation, in its unit: numbers that have hardly changed yet are not amplified."""
+"""Floor of the scale of an observation, in its unit: numbers that have hardly changed are not amplified."""
 
 _LARGEST_INITIAL_ACTION = 0.97
 _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU, "tanh": nn.Tanh}
@@ -22,7 +22,7 @@ _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU, "tanh": nn.Tanh
 class Normaliser(nn.Module):
     """clip((observation - mean) / scale) with mean and standard deviation of the observations given to `update`.
 
-    Calls, and therefore evaluations, do not change it.
+    Calls do not change the statistics, and therefore evaluations do not either.
 
     Args:
         size: numbers in an observation.
@@ -121,8 +121,8 @@ class PolicyNetwork(nn.Module):
 class QNetwork(nn.Module):
     """Value of an action.
 
-    The first layer is split into that of the observation and that of the action, so that a policy's gradient reaches
-    the action without passing through the observation's weights.
+    The first layer has separate weights for observation and action, so that a policy's gradient does not pass through
+    the observation's weights.
 
     Args:
         observation_size: numbers in an observation.
@@ -144,7 +144,7 @@ class QNetwork(nn.Module):
         self.in_bfloat16 = bfloat16
         self.observation = nn.Linear(observation_size, hidden[0])
         self.action = nn.Linear(action_size, hidden[0], bias=False)
-        bound = (observation_size + action_size) ** -0.5  # as for one layer over both
+        bound = (observation_size + action_size) ** -0.5  # as for a joint layer
         for values in (*self.observation.parameters(), *self.action.parameters()):
             nn.init.uniform_(values, -bound, bound)
         norms = [[nn.LayerNorm(units)] if layer_norm else [] for units in hidden]
@@ -160,7 +160,7 @@ class QNetwork(nn.Module):
 
 
 class Ensemble(nn.Module):
-    """Several Q functions of one shape.
+    """An ensemble of Q functions with the same architecture.
 
     Args:
         members: Q functions.
@@ -187,8 +187,7 @@ def approach(module: nn.Module, goal: nn.Module, share: float) -> None:
 def bfloat16_is_faster(device: torch.device) -> bool:
     """Whether bfloat16 is faster than float32 on a device, including conversions.
 
-    On CPUs this is measured: of two processors with avx512_bf16, one is twice as fast in bfloat16 and the other half as
-    fast.
+    On CPUs this is measured: one processor with avx512_bf16 is twice as fast in bfloat16, another half as fast.
     """
     if device.type != "cpu":
         return True

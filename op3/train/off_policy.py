@@ -33,9 +33,10 @@ class OffPolicySettings(AlgorithmSettings):
         actor_every: critic updates per policy update.
         actor_after: critic updates before the first policy update, so that it does not follow untrained critics.
         warmup: steps before the first update, taken by the untrained policy.
-        noise: largest exploration of an environment, in multiples of the policy's standard deviation; the others are
-            between 1 and it, evenly in the logarithm. Critics learn the value of larger actions from it.
-        warmup_noise: the same during the warm-up.
+        noise: largest exploration of an environment, in multiples of the policy's standard deviation; those of the
+            other environments lie between 1 and this value, evenly in the logarithm. Critics thus learn the value of
+            larger actions.
+        warmup_noise: largest exploration during the warm-up.
         updates_per_step: updates per step after the warm-up.
         buffer: transitions kept; the oldest are overwritten.
         checkpoint_buffer: whether checkpoints hold the buffer; without it, a resumed run starts with an empty buffer.
@@ -64,10 +65,10 @@ class OffPolicySettings(AlgorithmSettings):
 
 
 class OffPolicy(Algorithm):
-    """Collects into TorchRL's replay buffer and makes updates from it.
+    """Collects transitions in TorchRL's replay buffer and updates from it.
 
-    A subclass gives `make_loss`, one of TorchRL's losses; its entries ``loss_*`` are minimised together, the policy's
-    only every `actor_every` updates.
+    A subclass defines `make_loss`, which returns one of TorchRL's losses; its entries ``loss_*`` are minimised
+    together, the policy's only every `actor_every` updates.
     """
 
     Settings = OffPolicySettings
@@ -79,7 +80,7 @@ class OffPolicy(Algorithm):
         self.make_buffer()
 
     def make_loss(self) -> LossModule:
-        """The loss, of `stochastic_actor` and `critic`, with a value estimator of this discount."""
+        """The loss for `stochastic_actor` and `critic`, with a value estimator for this discount."""
         raise NotImplementedError(f"{type(self).__name__} has no make_loss")
 
     def q_network(self) -> QNetwork:
@@ -108,7 +109,7 @@ class OffPolicy(Algorithm):
         self.buffer.append_transform(self.normalise)  # pyright: ignore[reportArgumentType]
 
     def optimise(self) -> None:
-        """One optimiser, with a rate for the critics and one for all else."""
+        """One optimiser, with separate rates for the critics and everything else."""
         chosen, critics, others = self.settings, [], []
         for name, parameter in self.loss.named_parameters():
             (critics if "value_network" in name else others).append(parameter)
@@ -120,15 +121,15 @@ class OffPolicy(Algorithm):
         self.explorer.follow(self.settings.warmup_noise if self.steps < self.settings.warmup else self.settings.noise)
 
     def restart(self, seed: int) -> None:
-        """All episodes restart; the latest steps, whose n-step returns are incomplete, are dropped."""
+        """Restart all episodes; the latest steps are dropped because their n-step returns are incomplete."""
         super().restart(seed)
         self.multi_step = self.returns()
 
     def returns(self) -> MultiStepTransform:
-        """The transform to n-step returns over consecutive rollouts of the same robots.
+        """The transform that computes n-step returns over consecutive rollouts of the same robots.
 
-        End flags and observation are those of the last of the n steps. By default TorchRL keeps the flags of the first,
-        so that a return that ends in a fall would be continued with the value of the fallen state.
+        End flags and observation come from the last of the n steps. By default TorchRL keeps the flags of the first
+        step, which would add the value of the fallen state to a return that ends in a fall.
         """
         return MultiStepTransform(self.settings.n_step, self.settings.discount, done_keys=[])
 
@@ -142,7 +143,7 @@ class OffPolicy(Algorithm):
         return {}
 
     def store(self, rollout: TensorDictBase) -> None:
-        """Store transitions from elsewhere, such as those of `op3.train.transitions`; updates stay due as before.
+        """Store external transitions, such as those of `op3.train.transitions`, without triggering updates.
 
         Args:
             rollout: [env, time], with ``done`` at the last step of each.
@@ -161,7 +162,7 @@ class OffPolicy(Algorithm):
         """Make the updates that are due for the steps since the last call."""
         due = self._due(self.steps) - self._due(self.learned)
         self.learned, measures = self.steps, {}
-        if self.stored >= min(self.settings.warmup, self.settings.buffer):  # after a resumption without a buffer
+        if self.stored >= min(self.settings.warmup, self.settings.buffer):  # false after resuming without a buffer
             for _ in range(due):
                 measures = self.update(self.buffer.sample())
                 self.count_update()
@@ -196,7 +197,7 @@ class OffPolicy(Algorithm):
         state = super().get_extra_state() | {"steps": self.steps, "learned": self.learned}
         if self.settings.checkpoint_buffer and len(self.buffer):
             data = self.buffer.storage[:].flatten_keys(".")
-            if len(self.buffer) < self.settings.buffer:  # saving a view saves the whole tensor behind it
+            if len(self.buffer) < self.settings.buffer:  # saving a view would save the whole underlying tensor
                 data = data.clone()
             state |= {"buffer": data.to_dict(), "writer": self.buffer.writer.state_dict()}
         return state
@@ -210,7 +211,7 @@ class OffPolicy(Algorithm):
             data = state["buffer"]
             size = len(data["action"])
             if size > self.settings.buffer:
-                raise ValueError(f"the stored buffer has {size} transitions, this run {self.settings.buffer}")
+                raise ValueError(f"the stored buffer has {size} transitions, but this run's has {self.settings.buffer}")
             self.buffer.extend(TensorDict(data, [size]).unflatten_keys("."))
             self.buffer.writer.load_state_dict(state["writer"])
             self.stored = self.steps
@@ -221,10 +222,10 @@ class OffPolicy(Algorithm):
 
 
 class IndexSelectStorage(LazyTensorStorage):
-    """TorchRL's storage, whose rows are read by `index_select`, several times faster on processors than indexing."""
+    """TorchRL's storage, read with `index_select`, which is several times faster on CPUs than indexing."""
 
     def get(self, index: Any) -> Any:
-        """Transitions by their numbers."""
+        """Transitions by index."""
         if isinstance(index, Tensor) and index.ndim == 1 and index.dtype == torch.int64:
             rows: Any = self._storage
             return rows.apply(lambda values: values.index_select(0, index.to(values.device)), batch_size=index.shape)
@@ -232,7 +233,7 @@ class IndexSelectStorage(LazyTensorStorage):
 
 
 class Mirrored(Transform):
-    """Replaces a share of every sampled batch by its image in a plane of symmetry.
+    """Replaces a share of every sampled batch by its mirror image in a plane of symmetry.
 
     Args:
         mirror: images of observations and actions.

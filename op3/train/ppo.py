@@ -22,7 +22,7 @@ class PPOSettings(AlgorithmSettings):
     Attributes:
         rate: learning rate.
         gae: lambda of the advantages.
-        clip_ratio: of the probabilities.
+        clip_ratio: clipping range of the probability ratio.
         entropy: weight of the entropy bonus.
         epochs: passes over a rollout.
         batch: transitions per update.
@@ -40,7 +40,7 @@ class PPOSettings(AlgorithmSettings):
 
 
 class PPO(Algorithm):
-    """Policy and value function, learned between rollouts from only the latest one."""
+    """Policy and value function, trained between rollouts on only the latest rollout."""
 
     Settings = PPOSettings
 

@@ -12,11 +12,11 @@ def transitions(log: Rollout) -> TensorDict:
     """The policy steps of a log of one episode, with the keys of training.
 
     Args:
-        log: with the channels ``policy/observation``, ``policy/action`` and ``policy/reward``.
+        log: log with the channels ``policy/observation``, ``policy/action`` and ``policy/reward``.
 
     Returns:
         [1, time] for `op3.train.OffPolicy.store`. A log does not contain the state after the last step: the last step
-        is kept if the robot fell, since no value follows, and omitted otherwise.
+        is kept if the robot fell, because no value follows, and omitted otherwise.
 
     Raises:
         ValueError: if a channel is missing.

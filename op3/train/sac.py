@@ -30,8 +30,8 @@ class SACSettings(OffPolicySettings):
 class SAC(OffPolicy):
     """Policy, two critics, temperature.
 
-    The losses are those of `torchrl.objectives.SACLoss` with ``loss_function="l2"``, half of it for the critics. They
-    are implemented here, because functional modules and vmap cost a third of an update of such networks on a CPU
+    The losses equal those of `torchrl.objectives.SACLoss` with ``loss_function="l2"``, halved for the critics. They are
+    implemented here because functional modules and vmap take a third of an update of such networks on a CPU
     (`experiments/benchmarks/learner_speed.py`).
     """
 
@@ -45,7 +45,7 @@ class SAC(OffPolicy):
         self.make_buffer()
 
     def optimise(self) -> None:
-        """One optimiser of the critics, one of policy and temperature."""
+        """One optimiser for the critics, and one for policy and temperature."""
         policy = [*self.network.parameters(), self.log_temperature]
         self.optimisers["critics"] = torch.optim.Adam(self.critics.parameters(), self.settings.critic_rate, fused=True)
         self.optimisers["policy"] = torch.optim.Adam(policy, self.settings.actor_rate, fused=True)
@@ -87,7 +87,7 @@ class SAC(OffPolicy):
         return loss + self.log_temperature * (entropy.detach() - wanted), entropy
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *options: Any) -> None:
-        """Checkpoints of earlier versions have the policy's weights twice, also as those of an ``actor``."""
+        """Load the state; checkpoints of earlier versions contain the policy's weights a second time as ``actor``."""
         for name in [name for name in state_dict if name.startswith(f"{prefix}actor.")]:
             del state_dict[name]
         super()._load_from_state_dict(state_dict, prefix, *options)

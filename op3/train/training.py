@@ -23,10 +23,10 @@ CHECKPOINT = "checkpoint.pt"
 POLICY = "policy"
 
 Evaluate = Callable[[Policy], Mapping[str, float]]
-"""Measures of a policy without exploration; ``score`` or else ``return`` says which is best."""
+"""Measures of a policy without exploration; ``score``, or otherwise ``return``, selects the best policy."""
 
 Log = Callable[[Mapping[str, float], int], None]
-"""Takes measures by name and the number of environment steps."""
+"""Receives measures by name and the number of environment steps."""
 
 
 @settings("train")
@@ -52,7 +52,7 @@ class TrainSettings:
 
 
 Schedule = Listed[Listed[Number]]
-"""Pairs of a number of steps and a value, with straight lines between and constant beyond."""
+"""Pairs of step number and value, linearly interpolated and constant beyond the ends."""
 
 
 @settings()
@@ -61,7 +61,7 @@ class Curriculum:
 
     Attributes:
         curricula: schedules by the path of a number in the task, such as ``shaping.speed_bonus.weight``; ``timestep``
-            is that of the physics [s], which changes at checkpoints, where all episodes restart.
+            is the physics step [s], which changes at checkpoints, where all episodes restart.
     """
 
     curricula: Named[Schedule] = dataclasses.field(default_factory=dict)
@@ -113,13 +113,13 @@ def train(
 ) -> Progress:
     """Train, keeping the policy that evaluates best in ``<folder>/policy`` and a checkpoint beside it.
 
-    All episodes restart at every checkpoint, so a resumed run takes exactly the steps of an uninterrupted run, also
-    after a kill. SIGTERM and SIGINT write a checkpoint and end the run.
+    All episodes restart at every checkpoint, so a resumed run takes exactly the same steps as an uninterrupted run,
+    even after a kill. SIGTERM and SIGINT write a checkpoint and end the run.
 
     Args:
         algorithm: algorithm that learns.
-        environment: batched, [env], with ``observation``, ``action`` and ``reward``; composites ``reward_terms`` and
-            ``measure`` are logged. It must use separate random generators.
+        environment: batched environment [env] with ``observation``, ``action`` and ``reward``; composites
+            ``reward_terms`` and ``measure`` are logged. It must use its own random generators.
         evaluate: measures the policy.
         settings: settings of the run.
         manifest: manifest of the policy bundle; steps and updates are filled in.
@@ -148,7 +148,7 @@ def train(
             environment.set_terms(**values)  # pyright: ignore[reportCallIssue]
 
     def restart() -> Collector:
-        """A collector with new episodes; resetting a used one would zero tensors of the environment."""
+        """A collector with new episodes; resetting a used collector would zero tensors of the environment."""
         follow_curriculum()
         seed = settings.seed + run.steps
         torch.manual_seed(seed)
@@ -231,7 +231,7 @@ def _evaluate(
 
 
 def _identity(algorithm: Algorithm, manifest: Manifest, settings: TrainSettings) -> dict[str, Any]:
-    """Values that a resumed run must not change, although a change would fit all tensor shapes."""
+    """Values that a resumed run must not change, even if the tensor shapes agree."""
     return {
         "algorithm": type(algorithm).__name__,
         "task": manifest.task,
@@ -244,7 +244,7 @@ def _identity(algorithm: Algorithm, manifest: Manifest, settings: TrainSettings)
 
 
 def check_unused(folder: Path) -> None:
-    """Refuse a folder that has the checkpoint of a run."""
+    """Raise an error if the folder contains a checkpoint."""
     if (folder / CHECKPOINT).exists():
         raise ValueError(
             f"{folder} has the {CHECKPOINT} of a run: continue with resume={folder}, or choose another folder"
@@ -273,11 +273,11 @@ def _resume(
         return Progress(**state["run"])
     except (RuntimeError, KeyError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise ValueError(f"{path}: does not fit this run ({reason}); resume with the settings it had") from None
+        raise ValueError(f"{path}: does not fit this run ({reason}); resume with its original settings") from None
 
 
 def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by dotted name, lists as they are."""
+    """Nested settings by dotted name; lists are kept."""
     found: dict[str, Any] = {}
     for name, value in settings.items():
         found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
@@ -308,7 +308,7 @@ class _Meter:
                 terms = [f"reward_terms.{term}" for term, v in after.get("reward_terms", {}).items() if not _finite(v)]
                 what = terms[0] if name == "reward" and terms else name
                 raise ValueError(
-                    f"the environment returned a {what} that is not finite; check the term and the model file"
+                    f"the environment returned a non-finite {what}; check the task's terms and the model file"
                 )
         values = {"reward": after["reward"], "action/spread": rollout["action"].std()}
         for kind in ("reward_terms", "measure"):

@@ -11,26 +11,26 @@ from scipy.special import stdtrit
 from op3.common.sample_intervals import wilson_interval
 
 WALKERS = 0.8
-"""Share of episodes that must walk for their whole time; paper, 8 of 10."""
+"""Share of episodes that must walk to their end (paper: 8 of 10)."""
 
 PAPERS_EPISODES = 10
-"""Episodes by which the paper judges a transfer."""
+"""Number of episodes by which the paper judges a transfer."""
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """One policy, in the simulation that it was trained on and on the robot.
+    """Results of one policy in the simulation of its training and on the robot.
 
     Attributes:
-        model: that it was trained on.
+        model: model that the policy was trained on.
         expected, actual: returns under R_eval in simulation and on the robot.
-        upright: which of the robot's episodes went without a fall, the way to the end pose included.
+        upright: which of the robot's episodes had no fall, including the motion to the end pose.
         episodes: folder of the robot's logs.
-        film, robot_film: of an episode in simulation and on the robot; None or no such file: not shown.
+        film, robot_film: videos of an episode in simulation and on the robot; not shown if None or missing.
         criterion: share of the expected mean return that the robot must reach.
-        began_with: what its training began with, or that it was given.
-        afterwards: episodes that ended well and fell, or had to be stopped, on the way to the end pose.
-        walked: which of the robot's episodes went forwards without a fall, by which the paper judges walking; None for
+        began_with: initial policy of the training, or a note that the policy was given.
+        afterwards: number of episodes that ended well but fell or were stopped during the motion to the end pose.
+        walked: which of the robot's episodes moved forwards without a fall, the paper's criterion for walking; None for
             other tasks.
     """
 
@@ -60,7 +60,7 @@ class Transfer:
             said = f"{sum(self.walked)} of {len(self.walked)} episodes walk until the end{span}"
         else:
             said = f"the robot reaches {100 * self.share:.0f} %{span} of the expected return"
-        way = f", {self.afterwards} of them on the way to the end pose" if self.afterwards else ""
+        way = f", {self.afterwards} of them while moving to the end pose" if self.afterwards else ""
         return said + (f", and falls in {self.falls} of {len(self.upright)} episodes{way}" if self.falls else "")
 
     @property
@@ -70,8 +70,8 @@ class Transfer:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the criterion's quantity: Wilson's of the episodes that walked; of the share Student's, by
-        the spread of both means (the delta method); no interval of a single episode."""
+        """95 % interval of the criterion's quantity: Wilson's interval for the share of walking episodes; Student's
+        interval with the delta method for the share of the return; none for a single episode."""
         if self.walked is not None:
             return wilson_interval(sum(self.walked), len(self.walked))
         fewest = min(len(self.expected), len(self.actual))
@@ -83,7 +83,7 @@ class Transfer:
 
     @property
     def span(self) -> str:
-        """The interval in words; nothing where there is none."""
+        """The interval as text; empty if there is none."""
         low, high = self.interval
         return f"95 %: {100 * low:.0f} to {100 * high:.0f} %" if np.isfinite([low, high]).all() else ""
 
@@ -96,8 +96,7 @@ class Transfer:
 
     @property
     def settled(self) -> bool:
-        """Whether the interval lies on one side of the criterion, so that more episodes would hardly change the
-        verdict."""
+        """Whether the interval is on one side of the criterion, so more episodes would hardly change the result."""
         low, high = self.interval
         limit = self.criterion if self.walked is None else WALKERS
         return low >= limit or high < limit
@@ -125,10 +124,10 @@ class Learned:
     """Results of the rounds.
 
     Attributes:
-        numbers: of the re-identification, by round, as its ``result.yaml`` has them.
-        named: sentence of the diagnosis, by round.
-        remarks: what else the reader should know, a sentence each.
-        spared: whether the condition would learn, and the first transfer left nothing to learn from.
+        numbers: results of each round's re-identification, as in its ``result.yaml``.
+        named: sentence of each round's diagnosis.
+        remarks: further sentences for the reader.
+        spared: whether the condition allows learning but the first transfer left nothing to learn.
     """
 
     numbers: dict[int, dict] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Effect of a diagnosis on a policy: its predicted returns before and after, and the measured one."""
+"""Effect of a diagnosis on a policy: its predicted returns before and after, and its measured return."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -25,17 +25,17 @@ def downstream(
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict[str, Any]:
-    """The return R_eval of a policy under two models, and on the robot where its episodes were recorded.
+    """The return R_eval of a policy under two models and, if episodes were recorded, on the robot.
 
     Args:
-        task: that is attempted; the same as on the robot.
+        task: task of the episodes, the same as on the robot.
         actual: logs of single episodes of the same policy and task on the robot.
-        progress: called with the stage and the share done.
+        progress: function called with the stage and the completed share.
 
     Returns:
         ``task``, ``episodes``, and under ``before``, ``after`` and, if given, ``actual``: ``mean``, its 90 %
         ``interval`` over episodes, ``fallen``, the share of falls. With ``actual`` also ``error_before`` and
-        ``error_after``, how far the predictions are from it.
+        ``error_after``, the differences between predictions and measurement.
     """
     result: dict[str, Any] = {"task": find_task(task).name, "episodes": episodes}
     for number, (label, model) in enumerate((("before", before), ("after", after))):
@@ -58,7 +58,7 @@ def downstream(
 
 
 def _summary(values: np.ndarray, fallen: float) -> dict[str, Any]:
-    """Mean and interval of returns; None where every simulation failed."""
+    """Mean and interval of returns; None if every simulation failed."""
     if not len(values):
         return {"mean": None, "interval": None, "fallen": fallen}
     return {"mean": float(values.mean()), "interval": list(bootstrap_interval(values)), "fallen": fallen}

@@ -1,4 +1,4 @@
-"""Which of a policy's episodes on a robot a simulation can be compared with."""
+"""Selects the episodes on a robot that a simulation can reproduce."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from op3.tasks.task import POLICY_PERIOD, Task
 
 
 def that_count(episodes: Sequence[Rollout]) -> tuple[list[Rollout], list[Rollout]]:
-    """Episodes that ended by their time or a fall, and the others.
+    """Episodes that ended by time limit or fall, and all other episodes.
 
     Other causes on a robot (a voltage, a lost bus, heat) do not occur in simulation, so the return of such an episode
     contains no information on the parameters.
@@ -19,22 +19,22 @@ def that_count(episodes: Sequence[Rollout]) -> tuple[list[Rollout], list[Rollout
 
 
 def ended_by(episodes: Sequence[Rollout]) -> str:
-    """What ended episodes of the robot, in words."""
+    """The causes that ended episodes of the robot, as text."""
     return ", ".join(sorted({str(log.metadata.extra["exit"]) for log in episodes}))
 
 
 def check_episode(log: Rollout, task: Task, policy: PolicyBundle) -> None:
-    """Check that a log is an episode of this policy at this task that a simulation can reproduce.
+    """Check that a log is an episode of this policy and task that a simulation can reproduce.
 
     Raises:
-        LogError: if not; it says what to do.
+        LogError: if not; the message states the remedy.
     """
     name = log.metadata.recording
     trained, played = policy.manifest.training.model_hash, log.metadata.model_hash
-    # a log of the robot names the policy's model, one of a simulation that which was simulated
+    # a robot's log names the policy's model, a simulation's log the simulated model
     if "exit" in log.metadata.extra and trained and played and played != trained:
         raise LogError(
-            f"the policy of this episode was trained on the model {played}, the bundle's on {trained}",
+            f"the episode's policy was trained on the model {played}, but the bundle's policy on {trained}",
             "give the bundle that produced the episode",
             column="field model_hash",
             source=name,

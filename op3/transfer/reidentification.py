@@ -1,7 +1,7 @@
 """Re-identification from failed transfers: match the returns of episodes, not their time series (paper, eq. 6).
 
-Two objectives: the loss of the excitation, eq. (7), and the Wasserstein-1 distance between the returns under R_eval
-that a policy got on the robot and those that it gets in simulation.
+There are two objectives: the loss of the excitation, eq. (7), and the Wasserstein-1 distance between the policy's
+returns R_eval on the robot and in simulation.
 """
 
 import hashlib
@@ -36,17 +36,18 @@ from op3.transfer.reidentified import Array, ParetoPoint, Reidentified, better_h
 from op3.transfer.returns import ReturnsBench
 
 PLAUSIBLE = 2.0
-"""Candidates run no episode if their excitation loss exceeds this multiple of the initial model's."""
+"""Candidates with an excitation loss above this multiple of the initial model's run no episodes."""
 
 TRIED = 0.3
-"""Share of the episodes that every plausible candidate runs before the better ones run the rest."""
+"""Share of the episodes that every plausible candidate runs; only the better candidates run the rest."""
 
 TOLERATED = 1.25
-"""Largest excitation loss of the chosen candidate, as a multiple of the initial model's. Others run no more than the
-first episodes until they turn out to be on the Pareto front."""
+"""Largest excitation loss of the chosen candidate, as a multiple of the initial model's. Others only run the first
+episodes, unless they are on the Pareto front."""
 
 DISTINCT = 0.01
-"""Smallest difference of finalists in one parameter, as a share of the trials' range: generations contain clones."""
+"""Smallest difference between finalists in one parameter, as a share of the trials' range, because generations contain
+clones."""
 
 CHANCE = 0.9
 """The initial model is kept if its distance is below this quantile of the distances that chance causes."""
@@ -56,10 +57,10 @@ RISES = (0.1, 0.25, 0.6)
 
 
 class Simulations:
-    """Simulations of candidates; several processes share the candidates, each with one of these objects.
+    """Simulates candidates; several processes, each with one of these objects, share the candidates.
 
-    The arguments are those of `Reidentification`; `joints` are the focusing joints, and `num_threads` step the physics,
-    0 for all processors.
+    The arguments are those of `Reidentification`; `joints` are the focusing joints, and `num_threads` threads step the
+    physics (0: all processors).
     """
 
     def __init__(
@@ -84,21 +85,21 @@ class Simulations:
         return torch.cat([losses[:, None], image], 1), self.problem.simulated_seconds - before
 
     def returns(self, values: Mapping[str, Tensor], candidates: int, episodes: Sequence[int]) -> tuple[Tensor, float]:
-        """Returns of some episodes ``[candidate, episode]``, and the simulated time [s]."""
+        """Returns of the given episodes ``[candidate, episode]``, and the simulated time [s]."""
         before = self.bench.simulated_seconds
         returns = self.bench.run(values, candidates, episodes=episodes).returns
         return returns, self.bench.simulated_seconds - before
 
 
 class Reidentification:
-    """Evaluates parameter sets by both objectives, many at once.
+    """Evaluates both objectives for many parameter sets at once.
 
     Args:
-        model: that the policy was trained on; it defines the effects and the initial values.
+        model: model that the policy was trained on, which defines the effects and the initial values.
         episodes: logs of the policy's episodes on the robot.
-        task: that was attempted; None: that of the episodes.
-        repeats: episodes of each candidate, K in the paper.
-        race: whether candidates with poor first episodes skip the others; False: all candidates run all episodes.
+        task: task of the policy; None: the task of the episodes.
+        repeats: number of episodes per candidate, K in the paper.
+        race: whether candidates with poor first episodes skip the other episodes.
         processes: processes that share the simulations of a population; 0 for all processors.
 
     Raises:
@@ -152,7 +153,7 @@ class Reidentification:
 
     @property
     def identity(self) -> str:
-        """Identifies the objectives: it depends on logs, policy, model, task and number of episodes."""
+        """Identity of the objectives, which depends on logs, policy, model, task and number of episodes."""
         logs = [log.fingerprint() for log in (*self._logs[0], *self._logs[1])]
         weights = hashlib.sha256()
         for name in sorted(self._policy.weights):
@@ -179,10 +180,10 @@ class Reidentification:
 
     def propose(self, count: int, bounds: Mapping[str, tuple[float, float]], seed: int = 0) -> list[dict[str, float]]:
         """First trials of a study: parameter sets, by config key, that fit the excitation about as well as the
-        identified one.
+        identified set.
 
         Args:
-            count: number of them, as many from within each of the `RISES`.
+            count: number of parameter sets, divided equally among the `RISES`.
             bounds: range that the study searches, by parameter name.
         """
         problem = self.simulations.problem
@@ -202,7 +203,8 @@ class Reidentification:
         return [{PREFIX + name: value for name, value in each.items()} for each in values]
 
     def _shared(self, what: str, values: Mapping[str, Tensor], count: int, **more: Any) -> Tensor:
-        """Results of `Simulations` for all candidates, interleaved over processes, as neighbours take similar times."""
+        """Results of `Simulations` for all candidates, interleaved over processes because neighbours take equal
+        times."""
         shares = [torch.arange(first, count, self._crew.size) for first in range(min(self._crew.size, count))]
         parts = [
             {"values": {name: value[share] for name, value in values.items()}, "candidates": len(share), **more}
@@ -215,14 +217,14 @@ class Reidentification:
     def _measure(
         self, trials: Sequence[Mapping[str, float]], plausible: float = np.inf, race: bool = False
     ) -> list[ParetoPoint]:
-        """Both objectives; beyond a plausible excitation loss the distance is set larger than any possible one."""
+        """Both objectives; for implausible excitation losses the distance is set above any possible one."""
         values = columns(trials)
         seen = self._shared("losses", values, len(trials))
         losses, images = seen[:, 0], seen[:, 1:].numpy()
         worth = (losses <= plausible).nonzero()[:, 0]
         returns = self._play({name: value[worth] for name, value in values.items()}, losses[worth], race)
         played = dict(zip(worth.tolist(), returns, strict=True))
-        # a step is worth 1 at most, so no returns are farther apart
+        # the reward of a step is at most 1, so no returns differ more
         worthless = float(max(*np.abs(self.actual), ceil(self.task.duration / POLICY_PERIOD)))
         measured = []
         for i, trial in enumerate(trials):
@@ -241,9 +243,9 @@ class Reidentification:
     def _play(self, values: Mapping[str, Tensor], losses: Tensor, race: bool) -> list[Array]:
         """Returns of candidates: of all episodes, or in a race only of the first ones for poor candidates.
 
-        Every candidate runs the first episodes. Its other returns are predicted from those of the initial model in the
-        same episodes, with the mean difference of the first ones. Only the better half runs the rest, without
-        candidates that the initial model beats in both objectives or whose excitation loss is too large to be chosen.
+        Every candidate runs the first episodes. Its other returns are predicted as the initial model's returns in these
+        episodes plus the mean difference in the first ones. Only the better half runs the rest, except candidates that
+        the initial model beats in both objectives or whose excitation loss is too large.
         """
         count, episodes = len(losses), self.episodes
         first = ceil(TRIED * episodes) if race else episodes
@@ -273,12 +275,12 @@ class Reidentification:
         return np.concatenate([first, start[len(first) :] + (first - start[: len(first)]).mean()])
 
     def finish(self, study: optuna.Study, finalists: int = 8) -> Reidentified:
-        """Choose a point of the front, and evaluate it on new episodes.
+        """Choose a point of the Pareto front, and evaluate it on new episodes.
 
         The finalists are the closest few different candidates whose excitation loss is at most `TOLERATED` times the
-        initial model's. They and the initial model run as many new episodes, because the best of hundreds was lucky in
-        the first ones; the smallest distance over the new ones wins. The initial model is kept if its returns are as
-        close to the robot's as chance allows. A third set of episodes measures the result.
+        initial model's. They and the initial model run the same number of new episodes, because the best of hundreds
+        was partly lucky in the first ones; the smallest distance over the new episodes wins. The initial model is kept
+        if its returns are as close to the robot's as chance allows. A third set of episodes measures the result.
 
         Raises:
             ValueError: if no trial of the study completed.
@@ -288,11 +290,11 @@ class Reidentification:
             raise ValueError("no trial of the study completed: every simulation failed; check the logs and the model")
         played = [self._candidate(trial) for trial in complete if trial.user_attrs.get("episodes", 0)]
         whole = [one for one in played if one.returns]
-        # of those that played the first episodes alone, the ones that may be on the front play the others
+        # candidates that only ran the first episodes but may be on the front run the others now
         short = [one for one in unbeaten(played) if not one.returns]
         whole += [one for one in (self._replay(short, 0) if short else ()) if np.isfinite(one.distance)]
         near = [one for one in whole if one.excitation <= TOLERATED * self.start.excitation]
-        # the study holds the start as its nominal trial
+        # the start is the study's nominal trial
         near = [one for one in near if dict(one.values) != dict(self.start.values)]
         final = [self.start, *self._distinct(sorted(near, key=lambda one: one.distance), whole, finalists)]
         again = self._replay(final, 1)

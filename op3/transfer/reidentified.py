@@ -1,4 +1,4 @@
-"""Result of a re-identification: candidates with two objectives, the Pareto front, and distances by chance."""
+"""Result of a re-identification: candidates with two objectives, the Pareto front, and distances due to chance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from op3.servo import RobotModel
 Array = NDArray[np.float64]
 
 PAIRS = 400
-"""Pairs of samples drawn for the distance that chance alone causes."""
+"""Number of sample pairs that estimate the distance due to chance."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class ParetoPoint:
         values: parameter values by name.
         excitation: loss of the excitation, paper eq. (7).
         distance: Wasserstein-1 distance of the returns.
-        returns: of the policy in simulation.
+        returns: returns of the policy in simulation.
         attributes: features for a sampler, see `op3.identify.level_set_sampler`.
     """
 
@@ -39,15 +39,15 @@ class Reidentified:
     """Result of a re-identification.
 
     Attributes:
-        model: with the chosen candidate's values.
+        model: model with the chosen candidate's values.
         start: the initial model, on which the policy was trained.
-        chosen: see `Reidentification.finish`.
-        front: the Pareto front, by rising excitation loss.
+        chosen: chosen candidate, see `Reidentification.finish`.
+        front: the Pareto front, sorted by excitation loss.
         actual: returns on the robot.
-        fresh_start: the initial model over episodes that neither the search nor the choice has used.
-        fresh_chosen: the chosen candidate over the same episodes.
-        noise: expected distance between the robot's returns and as many simulated ones by chance, if the chosen model
-            were the robot.
+        fresh_start: the initial model on episodes that neither the search nor the choice has used.
+        fresh_chosen: the chosen candidate on the same episodes.
+        noise: expected distance due to chance between the robot's and as many simulated returns, if the chosen model
+            were exact.
         at_chance: whether the initial model's returns are as close to the robot's as chance allows, so that the
             episodes show no error of the model.
         start_name: name of the initial model, by its method.
@@ -66,7 +66,7 @@ class Reidentified:
 
     @property
     def accepted(self) -> bool:
-        """Whether the chosen candidate is not the initial model."""
+        """Whether the chosen candidate differs from the initial model."""
         return self.chosen is not self.start
 
 
@@ -78,8 +78,8 @@ def unbeaten(candidates: Sequence[ParetoPoint]) -> list[ParetoPoint]:
 
 
 def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> NDArray[np.int64]:
-    """Ascending indices of the candidates that the fewest others beat in both objectives, without those that the
-    initial model beats."""
+    """Ascending indices of the candidates that the fewest others beat in both objectives, except those the initial
+    model beats."""
     beaten = (losses[None] < losses[:, None]) & (distances[None] < distances[:, None])
     hopeless = (losses > start[0]) & (distances >= start[1])
     order = np.lexsort((distances, beaten.sum(1)))[: (len(losses) + 1) // 2]
@@ -87,8 +87,8 @@ def better_half(losses: Array, distances: Array, start: tuple[float, float]) -> 
 
 
 def chance_distances(returns: Array, actual: int, simulated: int) -> Array:
-    """Wasserstein-1 distances of two samples of the same returns; their mean is the smallest distance that a model can
-    be expected to reach."""
+    """Wasserstein-1 distances between two samples of the same returns; their mean is the smallest distance that can be
+    expected of a model."""
     rng = np.random.default_rng(0)
     known = returns[np.isfinite(returns)]
     return np.array(

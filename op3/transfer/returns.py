@@ -19,19 +19,18 @@ from op3.tasks.snapshot import Snapshot
 from op3.tasks.task import POLICY_PERIOD, Task, find_task
 
 ROWS = 96
-"""Robots simulated side by side by one thread: half as many cost 6 % more each, twice as many 2 %."""
+"""Number of robots that one thread simulates together; half as many cost 6 % more each, twice as many 2 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class Returns:
     """Returns of a policy on candidate models.
 
-    The distance walked is looked at once per policy step, where a log has it at every tick; the returns of walking
-    differ by less than a thousandth.
+    The walked distance is read once per policy step instead of every tick as in a log, changing returns by below 0.1 %.
 
     Attributes:
-        returns: R_eval summed over the steps of an episode, ``[candidate, episode]``; NaN where the simulation failed.
-        fallen: whether it ended in a fall, ``[candidate, episode]``.
+        returns: R_eval summed over the steps of an episode, ``[candidate, episode]``; NaN if the simulation failed.
+        fallen: whether the episode ended in a fall, ``[candidate, episode]``.
     """
 
     returns: Tensor
@@ -39,9 +38,9 @@ class Returns:
 
 
 class ReturnsBench:
-    """Runs the same episodes on every candidate: common random numbers, so that candidates differ by their model alone.
+    """Runs the same episodes on every candidate: common random numbers, so that candidates only differ by their model.
 
-    An episode costs nothing after a fall: its robot is put down again as the next candidate's.
+    No time is spent after a fall, because the simulation continues with the next candidate.
 
     Args:
         model: effects, and the values of parameters that candidates do not give.
@@ -75,9 +74,9 @@ class ReturnsBench:
         """The returns of all candidates.
 
         Args:
-            parameters: shared values by name, ``[candidate]``; joints that have values of their own go along
+            parameters: shared values by name, ``[candidate]``; separate values of joints change in proportion
                 (`RobotModel.for_joints`).
-            episodes: numbers of the episodes that are played; None: all of them, 0 to the bench's number of them.
+            episodes: numbers of the episodes to run; None: all episodes.
         """
         numbers = range(self.episodes) if episodes is None else episodes
         joints = load_robot(self.task.robot).joints
@@ -90,7 +89,7 @@ class ReturnsBench:
         tally, waiting = _Tally(env, self.task, total), iter(range(total))
 
         def place(rows: Tensor, state: TensorDictBase | None = None) -> Any:
-            """Give rows the next episodes, while there are any; returns the state of all rows."""
+            """Assign the next episodes to rows while any remain; return the state of all rows."""
             jobs = list(islice(waiting, len(rows)))
             if not jobs:
                 return state
@@ -130,12 +129,12 @@ class ReturnsBench:
 
 
 def _rows(total: int) -> int:
-    """Robots side by side such that the last round of episodes leaves few of them idle."""
+    """Number of robots for which the last round of episodes leaves few of them idle."""
     return ceil(total / ceil(total / ROWS))
 
 
 class _Tally:
-    """Rewards of the episodes under way, and the returns of those that are over."""
+    """Accumulates rewards of running episodes and returns of finished ones."""
 
     def __init__(self, env: BatchedEnv, task: Task, total: int):
         self._task, self._env = task, env
@@ -149,7 +148,7 @@ class _Tally:
         self.fallen = torch.zeros(total, dtype=torch.bool)
 
     def note(self, before: Snapshot, action: Tensor) -> None:
-        """A step has been taken; it is judged by the sensors at its beginning, as a log of the robot would be."""
+        """Add a step, evaluated with the sensors at its beginning as in a log of the robot."""
         fresh = (self._steps == 0)[:, None]
         action = action.double()
         previous = torch.where(fresh, action, self._previous)
@@ -166,7 +165,7 @@ class _Tally:
         self._previous = action
 
     def finish(self, rows: Tensor, now: Snapshot, state: TensorDictBase) -> None:
-        """Episodes of some rows are over."""
+        """Finish the episodes of these rows."""
         jobs, total = self.jobs[rows], self._sum[rows]
         if now.tip is not None:
             reached = torch.maximum(self._reached, now.tip)[rows] - self._start[rows]

@@ -1,4 +1,4 @@
-"""How often policies transfer, with intervals: the numbers of the paper's tables III and IV."""
+"""Success rates of transfers with intervals: the numbers of the paper's tables III and IV."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -15,20 +15,20 @@ def last_transfer(cell: Transferred, name: str) -> Any:
 
 
 def _episodes(cells: Sequence[Transferred]) -> tuple[int, int]:
-    """Episodes on the robot that went to their end, and all."""
+    """Number of episodes on the robot that reached their end, and of all episodes."""
     name = "walked" if cells[0]["task"] == "walk" else "upright"
     played = [last_transfer(cell, "episodes") for cell in cells]
     return sum(round(n * last_transfer(cell, name)) for n, cell in zip(played, cells, strict=True)), sum(played)
 
 
 def transfer_rates(cells: Sequence[Transferred], control: Sequence[Transferred] = ()) -> dict[str, Any]:
-    """Successes of a condition, and how far returns on the robots are from those expected, with 95 % intervals.
+    """Success rate of a condition, and differences between actual and expected returns, with 95 % intervals.
 
-    Seeds of one robot depend on each other, so intervals are over robots, each with the mean of its cells.
+    Results of one robot are correlated, so intervals are computed over robots, each with the mean of its cells.
 
     Args:
         cells: finished cells of one task and condition.
-        control: cells of the condition that it is compared with, robot by robot; none: no comparison.
+        control: cells of the condition for comparison, robot by robot; empty: no comparison.
     """
     good, (ended, episodes) = sum(bool(cell["success"]) for cell in cells), _episodes(cells)
     robots = _by_robot(cells, lambda cell: float(cell["success"]))
@@ -57,7 +57,7 @@ def _by_robot(cells: Sequence[Transferred], number: Callable[[Transferred], floa
 
 
 def _mean(values: Iterable[float]) -> list[float] | None:
-    """Mean, low and high; of one robot only its value, and None of none."""
+    """Mean, low and high; for one robot only its value, and None without robots."""
     numbers = list(values)
     if len(numbers) < 2:
         return numbers or None

@@ -36,7 +36,7 @@ def test_an_effect_that_is_put_in_begins_where_it_does_nothing():
 
 def test_what_is_impossible_is_named():
     """A parameter that there is not, with the nearest name, and a value that physics forbids."""
-    with pytest.raises(ValueError, match=r"'comand_latency': no model has such a parameter.*command_latency"):
+    with pytest.raises(ValueError, match=r"'comand_latency', but no effect has such a parameter.*command_latency"):
         Variation(add={"comand_latency": 0.004}).model(PAPER)
     with pytest.raises(ValueError, match=r"command_latency must be between 0 and 0.024 s, got -0.994"):
         Variation(add={"command_latency": -1.0}).model(PAPER)

@@ -61,5 +61,5 @@ def test_a_robot_of_other_servos_is_refused(tmp_path):
 def test_a_robot_without_soles_is_not_put_on_the_floor(tmp_path):
     """It is refused before its servos are energised."""
     path = write_robot(tmp_path, "four", CHANGES["four"])
-    with pytest.raises(ValueError, match="four does not walk: the scene 'floor' needs soles"):
+    with pytest.raises(ValueError, match="four cannot stand: the scene 'floor' needs soles"):
         connect("emulated", robot=path, model="own")

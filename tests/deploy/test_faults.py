@@ -128,7 +128,7 @@ def test_a_servo_that_shuts_down_stops_the_run_within_two_ticks(tmp_path, bit, c
     rig = faulty(tmp_path, HardwareFault(KNEE, START, bit))
     outcome = go(rig)
     assert outcome.code == ExitCode.SERVO_SHUTDOWN
-    assert f"shut down by itself: l_knee ({cause})" in outcome.reason
+    assert f"shut down: l_knee ({cause})" in outcome.reason
     assert_released(rig, outcome)
     assert torque_off(rig) - START <= 0.016
 

@@ -143,7 +143,7 @@ def test_a_motion_out_of_bounds_is_refused_before_anything():
     """A target beyond a soft limit names joint, time and range."""
     motion = Motion(np.array([0.0, 0.008]), np.array([[0.0], [3.0]]), ("l_knee",), "kick", robot="op3")
     with pytest.raises(
-        ValueError, match=r"'kick' asks l_knee for 3.000 rad at 0.008 s; it may go from -0.314 to 2.199"
+        ValueError, match=r"'kick' commands l_knee to 3.000 rad at 0.008 s; its limits are -0.314 and 2.199"
     ):
         FollowMotion(motion)
 

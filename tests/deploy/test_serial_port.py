@@ -47,7 +47,7 @@ def test_one_program_at_a_time(terminal):
     """A second program that opens the port is refused; when the first one has ended it may."""
     _, path = terminal
     first = Bus(SerialPort(path), MonotonicClock(), "op3")
-    with pytest.raises(Unplugged, match="another program has it open"):
+    with pytest.raises(Unplugged, match="another program has opened it"):
         Bus(SerialPort(path), MonotonicClock(), "op3")
     first.open()  # again, as after a pulled plug
     first.close()

@@ -38,11 +38,11 @@ def overloaded(robot):
 FAILURES = {
     "homing": (
         put("l_knee", "homing_offset", 150),
-        r"homing offset: not as expected: l_knee 150 \(up to \+0.23 rad\), set by .*limits.homing_offset=150",
+        r"homing offset: unexpected values: l_knee 150 \(up to \+0.23 rad\), set by .*limits.homing_offset=150",
     ),
-    "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: not as expected: l_knee 400; .*mode=setup"),
-    "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: not as expected: l_knee 30"),
-    "shutdown": (put("l_knee", "shutdown", 0), "shutdown: not as expected: l_knee 0; .*mode=setup"),
+    "pwm": (put("l_knee", "pwm_limit", 400), "pwm limit: unexpected values: l_knee 400; .*mode=setup"),
+    "profile": (put("l_knee", "profile_velocity", 30, at=0.3), "profile velocity: unexpected values: l_knee 30"),
+    "shutdown": (put("l_knee", "shutdown", 0), "shutdown: unexpected values: l_knee 0; .*mode=setup"),
     "latency timer": (
         dict(timing=LineTiming(latency_timer=0.016)),
         r"servo power: answers come after 16 ms: .*latency timer.*echo 1 .*latency_timer, or setserial",
@@ -51,13 +51,13 @@ FAILURES = {
     "latency timer of 4 ms": (dict(timing=LineTiming(latency_timer=0.004)), "answers come after 4 ms: .*latency timer"),
     "protocol": (
         put("l_knee", "protocol_version", 1),
-        r"ping: protocol 1.0 answer from l_knee \(id 14\); set the register protocol_version there to 2",
+        r"ping: protocol 1.0 answer from l_knee \(id 14\); set their register protocol_version to 2",
     ),
     "return level": (
         put("l_el", "status_return_level", 1, at=0.4),
         "status return level: l_el do not answer every packet",
     ),
-    "drive": (put("l_el", "drive_mode", 1), "drive mode: not as expected: l_el 1; write it once with mode=setup"),
+    "drive": (put("l_el", "drive_mode", 1), "drive mode: unexpected values: l_el 1; write it once with mode=setup"),
     "cool": (
         put("l_el", "temperature_limit", 70),
         "servo limits: l_el 70 C: a servo would shut down before the run ends at 72 C",
@@ -75,7 +75,7 @@ FAILURES = {
     "error": (dict(prepare=overloaded), r"hardware errors: r_knee \(overload\)"),
     "voltage": (dict(faults=Faults(scheduled=(BrownOut(0.0, voltage=10.2),))), "10.2 V at .* charge to at least 10.5"),
     "angle": (dict(prepare=outside), "l_knee is at 2.40 rad, outside its soft limits"),
-    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings contain 1 different block"),
+    "frozen": (dict(faults=Faults(scheduled=(FrozenImu(0.0),))), "IMU: 25 readings contain only 1 different block"),
     "tilted": (dict(prepare=lean), "IMU: roll 60 deg.* put the robot upright"),
 }
 

@@ -52,7 +52,7 @@ def test_page_and_numbers(logs, tmp_path):
         (["model=papr", "data={logs}"], "the nearest is 'paper'"),
         (["model=paper", "data={logs}", "where={{mount: stand}}"], "matches none of the 2 logs"),
         (["model=sts3032", "data={logs}"], "firmware_gain"),
-        (["model=paper", "data={other}"], "op3 has no joint wrist; say which robot made the log, by robot="),
+        (["model=paper", "data={other}"], "op3 has no joint wrist; name the log's robot with robot="),
     ],
 )
 def test_wrong_input_is_one_sentence(logs, tmp_path, arguments, message):

@@ -70,10 +70,10 @@ def test_unknown_names_are_refused(tmp_path):
         ((*DEMO, "policy=assets/policies/balance", "trained_on=paper_without_dte"), "is not that; give trained_on="),
         ((*DEMO, "rounds=x"), "rounds must be a whole number, got 'x'"),
         ((*DEMO, "criterion=much"), "criterion must be a number, got 'much'"),
-        ((*DEMO, "criterion=80"), "criterion is a share of the expected return, 0.8 for 80 %, got 80"),
+        ((*DEMO, "criterion=80"), "criterion must be a share of the expected return (0.8 for 80 %), got 80"),
         ((*DEMO, "world=robot_99"), "robot_99"),
         ((*DEMO, "model=nowhere.yaml"), "nowhere.yaml"),
-        ((*DEMO, "diagnose=perhaps"), "diagnose must be true, false or null"),
+        ((*DEMO, "diagnose=perhaps"), "diagnose must be true, false, or null"),
         ((*DEMO, "train.steps=10"), "train.steps=10 has no effect on any stage"),
     ],
 )

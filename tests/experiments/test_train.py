@@ -61,12 +61,12 @@ def test_a_policy_is_trained_resumed_and_judged(tmp_path):
     assert read_result(run / "result.yaml")["steps"] >= 320
 
     done = run_script("train.py", f"resume={run}", f"hydra.run.dir={tmp_path / 'again'}")
-    assert "goes on in its own folder; leave hydra.run.dir out" in done.stderr
+    assert "continues in its own folder; remove hydra.run.dir" in done.stderr
     assert not (tmp_path / "again").exists()
     done = run_script("train.py", *TINY, f"hydra.run.dir={run}")
-    assert f"go on with resume={run}, or choose another folder" in done.stderr
+    assert f"continue with resume={run}, or choose another folder" in done.stderr
     done = run_script("train.py", "task=walk", f"resume={run}")
-    assert f"task=walk: the run in {run} has task=balance; leave it out" in done.stderr
+    assert f"task=walk: the run in {run} has task=balance; omit this override" in done.stderr
 
     # with the settings it had, but for what is given now
     done = run_script("train.py", "train.steps=640", f"resume={run}")

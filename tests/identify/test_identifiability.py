@@ -85,4 +85,4 @@ def test_a_parameter_that_ended_at_its_bound_is_no_finding():
 
 def test_one_parameter_alone_is_said_so():
     """A direction along one parameter is no trade-off."""
-    assert in_words(NAMES, np.array([0.05, 0.99, 0.1])) == "these logs do not determine coulomb friction"
+    assert in_words(NAMES, np.array([0.05, 0.99, 0.1])) == "coulomb friction is not identifiable from these logs"

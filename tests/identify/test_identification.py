@@ -78,7 +78,7 @@ def test_unit_weights_are_the_papers_loss(identification, study):
 
 def test_parameters_of_effects_that_are_off_are_refused(model, logs):
     """A group without its effect is named, with what to do."""
-    with pytest.raises(ValueError, match=r"backward_efficiency.*leave the group out"):
+    with pytest.raises(ValueError, match=r"backward_efficiency.*omit the group"):
         Identification(model.without("dte"), logs, [], list(TRUTH))
 
 

@@ -88,7 +88,7 @@ def test_a_failed_simulation_has_no_loss_but_a_large_residual():
 
 def test_an_unknown_channel_is_named_as_it_is_written():
     """As in the config, with a slash."""
-    with pytest.raises(ValueError, match="weights: unknown channel joint/speed; weigh channels such as"):
+    with pytest.raises(ValueError, match="weights: unknown channel joint/speed; use channels such as"):
         TrajectoryLoss(weights={("joint", "speed"): 1.0})
 
 

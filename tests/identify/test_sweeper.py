@@ -139,7 +139,7 @@ def test_jobs_that_die_do_not_end_the_sweep_silently(tmp_path):
     """Where jobs fail before the first trial, the sweep stops and says why."""
     done = run_script(APP, "-m", "fail=start", place=tmp_path)
     assert done.returncode != 0
-    assert "The study cannot begin, its first job raised RuntimeError: there is no bowl" in done.stderr
+    assert "The study cannot begin because its first job raised RuntimeError: there is no bowl" in done.stderr
 
 
 @pytest.mark.parametrize("mode", [[], ["-m"]])

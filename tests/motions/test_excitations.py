@@ -116,7 +116,7 @@ def test_soften_lowers_the_gain_and_raises_it_again():
         (
             hold(pose("stand", "op3") + 3.0 * (np.arange(20) == 11), 1.0, robot="op3"),
             None,
-            r"asks l_knee for 4.131 rad",
+            r"commands l_knee to 4.131 rad",
         ),
         (triangle({"l_knee": 0.8}, speed=6.0, acceleration=100.0, robot="op3"), "stand", r"moves l_knee at 6.00 rad/s"),
         (triangle({"l_hip_roll": 0.3}, cycles=1, robot="op3"), "stand", r"brings \w+ within .* mm of \w+"),

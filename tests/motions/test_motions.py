@@ -64,7 +64,7 @@ def test_squat_arguments():
     [
         ([0.0], [[0.0]], ("l_knie",), "unknown joint 'l_knie'"),
         ([0.0, 0.0], [[0.0], [0.0]], ("l_knee",), "time does not increase at row 1"),
-        ([0.0], [[np.nan]], ("l_knee",), "not finite"),
+        ([0.0], [[np.nan]], ("l_knee",), "non-finite"),
     ],
 )
 def test_what_is_no_motion(time, position, joints, message):

@@ -87,7 +87,7 @@ def test_wide_spans_are_clipped_to_the_soft_limits():
     [
         ({"position_low": (0.0,)}, "position_low has 1 angles for 10 joints"),
         ({"position_high": (9.0,) * 10}, "l_hip_roll ranges from"),
-        ({"joints": ("l_knee",) * 10}, "named once"),
+        ({"joints": ("l_knee",) * 10}, "listed once"),
         ({"gain_low": 7.0}, "gain_high must not be below gain_low, got 7.0 to 6.0"),
         ({"d_gain": float("nan")}, "d_gain"),
     ],

@@ -92,7 +92,7 @@ def test_history_resets_rows_alone():
 
 def test_an_observer_without_a_beginning():
     """A push before the first reset is refused."""
-    with pytest.raises(RuntimeError, match=r"begins with reset"):
+    with pytest.raises(RuntimeError, match=r"before the first step"):
         observer(ACTION).push(sensed(torch.zeros(1)))
 
 

@@ -167,7 +167,7 @@ def test_robots_travel_between_processes(tmp_path):
             {"base: base": "base: bas"},
             r"line 4: base names the body 'bas', which does not exist; the nearest is 'base'",
         ),
-        ({"{bus_id: 2,": "{bus_id: 1,"}, r"line 9: joints.j1.bus_id is 1, as that of j0; give each its own"),
+        ({"{bus_id: 2,": "{bus_id: 1,"}, r"line 9: joints.j1.bus_id is 1, which j0 also has; use another id"),
         ({"zero: 2048": "zero: .nan"}, r"line 10: joints.j2.log.zero must be a finite number, got nan"),
         ({"sign: -1": "sign: 2"}, r"line 10: joints.j2.log.sign must be one of 1 or -1, got 2"),
         ({"home: 0.4": "home: 4"}, r"line 9: joints.j1.home is 4 rad, outside its limits -1.5 to 1.5"),
@@ -182,8 +182,11 @@ def test_robots_travel_between_processes(tmp_path):
             "write j0, j1, j2, j3",
         ),
         ({"joints:": "joints: ["}, r"is not valid YAML"),
-        ({"{bus_id: 1}": "{bus_id: 200}", "servo:": "board: opencr\nservo:"}, r"bus_id is 200, as that of the opencr"),
-        ({"{bus_id: 1}": "{home: 0}"}, r"line 8: joints.j0 has no bus_id, where other joints have one"),
+        (
+            {"{bus_id: 1}": "{bus_id: 200}", "servo:": "board: opencr\nservo:"},
+            r"bus_id is 200, which the opencr also has",
+        ),
+        ({"{bus_id: 1}": "{home: 0}"}, r"line 8: joints.j0 has no bus_id although other joints have one"),
         (
             {"servo:": "poses: {up: {j5: 1}}\nservo:"},
             r"line 6: poses.up.j5 names the joint 'j5', which does not exist; there are j0",
@@ -201,11 +204,11 @@ def test_robots_travel_between_processes(tmp_path):
         ),
         (
             {"home: 0.4": "mirror: j1"},
-            r"line 9: joints.j1.mirror names the joint itself; leave `mirror` out",
+            r"line 9: joints.j1.mirror names the joint itself; omit `mirror`",
         ),
         (
             {"{bus_id: 1}": "{bus_id: 1, mirror: j1}", "home: 0.4": "mirror: j2"},
-            r"line 9: joints.j1.mirror is j2, but j1 has the partner j0 already",
+            r"line 9: joints.j1.mirror is j2, but j1 already has the partner j0",
         ),
         ({"servo:": "controlled: []\nservo:"}, r"line 6: controlled must be a list of length 1 or more"),
         ({"servo:": "poses: {up: {j0: 2}}\nservo:"}, r"line 6: poses.up.j0 is 2 rad, outside its limits -1.5 to 1.5"),
@@ -245,9 +248,9 @@ def test_a_mass_that_differs_may_be_that_of_geoms(tmp_path):
 def test_an_unknown_robot_is_answered_with_the_nearest(tmp_path):
     """A slip of the pen, a path that leads nowhere, or another file beside it."""
     (tmp_path / "my_arm.yaml").touch()
-    with pytest.raises(ValueError, match=r"my_arms\.yaml; the nearest is '.*my_arm\.yaml', or correct the path"):
+    with pytest.raises(ValueError, match=r"my_arms\.yaml; the nearest is '.*my_arm\.yaml'; correct the path"):
         load_robot(str(tmp_path / "my_arms.yaml"))
-    with pytest.raises(ValueError, match="there is no robot 'op4'; the nearest is 'op3', or give the path"):
+    with pytest.raises(ValueError, match="there is no robot 'op4'; the nearest is 'op3'; or give the path"):
         load_robot("op4")
     with pytest.raises(ValueError, match=r"there is no robot file nowhere/arn\.yaml; the nearest is 'arm'"):
         load_robot("nowhere/arn.yaml")

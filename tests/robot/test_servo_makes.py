@@ -80,7 +80,7 @@ def test_a_servo_that_closes_its_loop_is_stiffer_at_a_higher_voltage(tmp_path):
             {"loop: current": "loop: curent"},
             r"line 5: loop must be one of 'current' or 'firmware', got 'curent'",
         ),
-        ({"loop: current": "loop: firmware"}, r"line 5: loop is 'firmware', so that the file needs a position_law"),
+        ({"loop: current": "loop: firmware"}, r"line 5: loop is 'firmware', so the file needs a position_law"),
         ({"gear_ratio": "gear_ration"}, r"line 8: motor.gear_ration is not a field; the nearest is 'gear_ratio'"),
         ({"value: 4, unit: ohm": "unit: ohm"}, r"line 10: motor.terminal_resistance.value is missing"),
         ({"value: 4, unit: ohm": "value: -4, unit: ohm"}, r"line 10: motor.terminal_resistance.value must be above 0"),

@@ -185,5 +185,5 @@ def test_meshes_of_a_package_are_looked_for_around_the_model(tmp_path):
     assert build_scene("stand", robot=load_robot(robot / "arm.yaml")).compile().nmesh == 1
     mesh.unlink()
     (robot / "arm.yaml").write_text(file + "source: changed\n")
-    with pytest.raises(DataFileError, match=r"mesh package://arm_description/.* is not there: put the folder"):
+    with pytest.raises(DataFileError, match=r"mesh package://arm_description/.* was not found: put the folder"):
         load_robot(robot / "arm.yaml")

@@ -142,10 +142,10 @@ def test_a_relay_changes_nothing(tmp_path, count):
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        (states("/r/joint_states", angles=POSITION + 0.1), "both publish it, with different values"),
+        (states("/r/joint_states", angles=POSITION + 0.1), "both contain it, with different values"),
         (
             states("/r/joint_states", joints=("a", "a", "b")),
-            "has the joint a twice in one message; give every joint a unique",
+            "contains the joint a twice in one message; publish every joint under a unique",
         ),
     ],
 )
@@ -185,7 +185,9 @@ def test_arrays_that_no_joint_follows_are_refused(tmp_path):
     """Numbers of something else."""
     rng = np.random.default_rng(0)
     noise = [("/arm/commands", ARRAY, BEGIN + t, array(2 * rng.random(3))) for t in TIME]
-    with pytest.raises(LogError, match="sends arrays without names, and number 1 clearly follows none of the joints"):
+    with pytest.raises(
+        LogError, match="sends arrays without joint names, and number 1 does not clearly belong to a joint"
+    ):
         read(tmp_path, states(), noise)
 
 
@@ -228,11 +230,11 @@ def test_arrays_of_two_controllers_are_of_different_joints(tmp_path):
     assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])[:, columns]).max() < 0.03
     (tmp_path / "other").mkdir()
     filtered = [("/filtered/commands", ARRAY, BEGIN + t, array(0.9 * target(t)[0])) for t in TIME]
-    with pytest.raises(LogError, match="both publish it, with different values; keep one of the topics"):
+    with pytest.raises(LogError, match="both contain it, with different values; keep one of the topics"):
         read(tmp_path / "other", states(), commands([0, 1, 2]), filtered)
 
 
-@pytest.mark.parametrize(("angle", "said"), [(0.0, "are ignored"), (0.4, "stop one of them")])
+@pytest.mark.parametrize(("angle", "said"), [(0.0, "are ignored"), (0.4, "stop one of the programs")])
 def test_two_publishers_of_commands_are_found(tmp_path, angle, said):
     """Zeros are left out, another pose is refused; levels that are told in turn are one publisher's."""
     second = [("/arm/commands", ARRAY, BEGIN + t + 0.007, array([angle] * 3)) for t in TIME[5::5]]
@@ -241,7 +243,7 @@ def test_two_publishers_of_commands_are_found(tmp_path, angle, said):
         problem = f"{found.problem}; {found.remedy}"
     except LogError as error:
         problem = str(error)
-    assert "two programs publish it" in problem
+    assert "two programs publish the topic" in problem
     assert said in problem
     (tmp_path / "levels").mkdir()
     levels = np.outer(np.sign(np.sin(6 * TIME) + 1e-9), [0.3, 0.2, 0.25])

@@ -87,9 +87,9 @@ def test_a_bag_carries_its_imu(tmp_path):
 def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
     """Degrees are known by an encoder's steps, and by the word of the user; else they may be normalised ones."""
     path = lerobot(tmp_path)
-    assert "normalised ones would be similar" in read_log(path).findings[0].problem
+    assert "could be normalised values" in read_log(path).findings[0].problem
     side_path(path).write_text(as_yaml(*propose(path)))
-    assert "# doubtful: numbers of up to 28.65 have no unit" in side_path(path).read_text()
+    assert "# doubtful: numbers of up to 28.65 without a unit" in side_path(path).read_text()
     assert read_log(path).findings == ()
     step = 2 * np.pi / 4096
     rests = np.where(np.arange(ROWS)[:, None] < ROWS / 2, position()[ROWS // 2], position())
@@ -105,7 +105,7 @@ def test_a_gripper_without_its_calibration_is_told(tmp_path, monkeypatch):
         values = np.stack([opened, 0.5 * np.sin(2 * (foreign_logs.TIME - late))], axis=1)
         monkeypatch.setattr(foreign_logs, name, lambda *_, values=values: values)
     told = [one.problem for one in read_log(lerobot(tmp_path)).findings if one.check == "unit of LeRobot"]
-    assert told[0].startswith("a gripper's numbers of")
+    assert told[0].startswith("gripper values from")
 
 
 def test_a_log_of_some_joints_of_a_robot(tmp_path):
@@ -122,7 +122,7 @@ def test_episodes_of_a_dataset(tmp_path):
     """Several episodes are several logs, and none is read for all of them."""
     path = lerobot(tmp_path, episodes=3)
     assert [log.rows for log in read_logs(path)] == [ROWS] * 3
-    with pytest.raises(LogError, match="it holds 3 recordings; read them all with read_logs"):
+    with pytest.raises(LogError, match="it contains 3 recordings; read them all with read_logs"):
         read_log(path)
 
 
@@ -171,7 +171,7 @@ def test_normalised_numbers_without_their_ranges_are_refused(tmp_path):
     """Steps of another size in every joint are no degrees."""
     path = counted(tmp_path, "normalised", 0.08)
     (path / "calibration.json").unlink()
-    with pytest.raises(LogError, match="they are normalised to the joints' ranges, which are not given; copy"):
+    with pytest.raises(LogError, match="they are normalised to the joints' ranges, which are unknown; copy"):
         read_log(path)
 
 
@@ -266,8 +266,8 @@ def test_velocities_of_a_dataset_in_degrees(tmp_path):
     ("file", "change", "said"),
     [
         ("info.json", lambda info: info.update(total_frames=10**4), "states 10000 frames, but the parquet files have"),
-        ("info.json", lambda info: info.update(fps=17), "the metadata says rate: 17 Hz"),
-        ("info.json", renamed(action=["a.pos"]), "1 names are given, but a row of action has 2 numbers"),
+        ("info.json", lambda info: info.update(fps=17), "the metadata state rate: 17 Hz"),
+        ("info.json", renamed(action=["a.pos"]), "there are 1 names, but a row of action has 2 numbers"),
         ("*.parquet", lambda table: table.pop("episode_index"), "column episode_index: the column is missing"),
         ("calibration.json", lambda known: known.pop(JOINTS[0]), "the calibration does not have this joint"),
     ],
@@ -293,9 +293,9 @@ def test_a_part_of_a_sage_pair_names_the_folder(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda content: {n: array.T for n, array in content.items()}, r"is of shape \(2, \d+\)"),
+        (lambda content: {n: array.T for n, array in content.items()}, r"has shape \(2, \d+\)"),
         (lambda content: {**content, "joints": np.array(["a", "b", "c", "d", "e"])}, "and 5 joints"),
-        (lambda content: {**content, "q": content["q"][:-5]}, "the column has 245 rows and its clock 250"),
+        (lambda content: {**content, "q": content["q"][:-5]}, "the column has 245 rows but its clock has 250"),
     ],
 )
 def test_archives_of_another_shape_are_refused(tmp_path, change, said):
@@ -345,7 +345,7 @@ def test_both_clocks_in_another_unit(tmp_path):
     for file in (path / "control.csv", path / "state_motor.csv"):
         stamps = re.sub(r"(CONTROL|MOTOR),([\d.]+)", lambda row: f"{row[1]},{float(row[2]) / 1e3}", file.read_text())
         file.write_text(stamps)
-    with pytest.raises(LogError, match=r"as if milliseconds had been read as microseconds; name the unit"):
+    with pytest.raises(LogError, match=r"as if milliseconds had been read as microseconds; write the unit"):
         read_log(path)
     (log,) = read_episodes(path, check=False)
     assert len(examine(log)) == 1
@@ -368,7 +368,7 @@ def test_a_joint_that_was_not_read_for_a_second(tmp_path):
     path = long_csv(tmp_path)
     rows = path.read_text().splitlines()
     path.write_text("\n".join(row for number, row in enumerate(rows) if "elbow" not in row or not 200 < number < 300))
-    with pytest.raises(LogError, match=r"column elbow.position: it has no value from 1.98 to 2.98 s"):
+    with pytest.raises(LogError, match=r"column elbow.position: the column has no value from 1.98 to 2.98 s"):
         read_log(path)
 
 
@@ -474,7 +474,7 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         log = read_log(path, robot)
         assert (log.joints, log.metadata.robot_file) == (arm.joints, "arm")
         assert np.abs(log.array("joint/position") - before).max() < 1e-9
-    with pytest.raises(LogError, match="the log is of the robot 'arm' and not of 'op3'"):
+    with pytest.raises(LogError, match="the log belongs to the robot 'arm', not to 'op3'"):
         read_log(path, "op3")
     (path / "joint_list.txt").write_text("\n".join(f"motor_{number}" for number in range(1, 7)))
     named = [column.name for column in propose(path, "arm")[1].values()]

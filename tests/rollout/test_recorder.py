@@ -115,7 +115,7 @@ def test_an_exception_leaves_an_incomplete_log(tmp_path):
 
 def test_empty_and_occupied_folders(tmp_path):
     """A recording without rows leaves nothing; a folder in use is not recorded over."""
-    with pytest.raises(LogError, match="no row was recorded"), Recorder(tmp_path / "run", metadata()):
+    with pytest.raises(LogError, match="no rows were recorded"), Recorder(tmp_path / "run", metadata()):
         pass
     assert list(tmp_path.iterdir()) == []
     rollout().save(tmp_path / "run")
@@ -200,7 +200,7 @@ def test_kill_before_the_first_row_is_told(tmp_path):
     """A recording of which nothing reached the disk is refused with that reason."""
     recorder = Recorder(tmp_path / "run", metadata())
     recorder.abandon()
-    with pytest.raises(LogError, match="holds no rows"):
+    with pytest.raises(LogError, match="contains no rows"):
         Rollout.load(tmp_path / "run")
 
 

@@ -156,7 +156,7 @@ def test_saving_never_overwrites_unasked(tmp_path):
     rollout(rows=5).save(tmp_path / "run", overwrite=True)
     assert Rollout.load(tmp_path / "run").rows == 5
     (tmp_path / "thesis").mkdir()
-    with pytest.raises(LogError, match="it exists and is not a rollout"):
+    with pytest.raises(LogError, match="the folder exists and is not a rollout"):
         rollout().save(tmp_path / "thesis", overwrite=True)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "thesis"]
 

@@ -112,9 +112,9 @@ def test_broken_files_are_refused(tmp_path):
     """Cut-off xz data, cut-off JSON and JSON of something else are told apart."""
     whole = json.dumps(recording()).encode()
     for name, content, expected in [
-        ("a.json.xz", lzma.compress(whole)[:-20], "packed data is broken"),
-        ("b.json.xz", b"not xz", "packed data is broken"),
-        ("c.json", whole[:200], "JSON is broken or cut short at line 1"),
+        ("a.json.xz", lzma.compress(whole)[:-20], "compressed data are damaged"),
+        ("b.json.xz", b"not xz", "compressed data are damaged"),
+        ("c.json", whole[:200], "JSON is damaged or truncated at line 1"),
         ("d.json", b"[1, 2]", "not a mapping"),
         ("e.json", b"\xff\xff\xff\xff", "not JSON"),
     ]:

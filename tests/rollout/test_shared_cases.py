@@ -54,20 +54,20 @@ class Import:
 
 LIMP = ("joint: l_knee\n", "channel: position\n")
 KNEE = {"l_knee": 0.914, "r_knee": 0.914}
-VARIANT = ("it is another variant of the sts3215",)
+VARIANT = ("this must be another variant of the sts3215",)
 IMPORTS = [
     Import(
         "bench_supply_12",
         "run.json",
         {"servo": 1.559},
-        ("the supply is 12 V, but the file of the sts3215", *VARIANT),
+        ("the supply is 12 V, but the servo file sts3215", *VARIANT),
         seconds=5.99,
     ),
     Import(
         "bench_supply_24",
         "run.json",
         {"servo": 1.559},
-        ("the supply is 24 V, but the file of the sts3215", *VARIANT),
+        ("the supply is 24 V, but the servo file sts3215", *VARIANT),
         seconds=5.99,
     ),
     Import("csv_computed_velocity", "run.csv", {"servo": 0.58}, ("joints servo\n", "joint/velocity"), silent=True),
@@ -84,7 +84,10 @@ IMPORTS = [
         spans={
             f"{side}_{name}": span for side in ("left", "right") for name, span in {**ARM, "gripper": 0.025}.items()
         },
-        says=("a gain of 16 is assumed", "every value equals that of left_shoulder_pan.position"),
+        says=(
+            "the gain 16, which LeRobot writes to the servos of",
+            "every value equals that of left_shoulder_pan.position",
+        ),
         seconds=7.97,
     ),
     Import("lerobot_degrees_with_calibration", "", {**ARM, "gripper": 0.025}, ("unit: deg",), True, 7.97),
@@ -95,22 +98,22 @@ IMPORTS = [
         silent=True,
         seconds=7.97,
     ),
-    Import("lerobot_old_calibration", "", ARM, ("deg: the calibration says so",), True, 7.97),
-    Import("npz_sysid_torque", "run.npz", says=("as a torque does", "name the command <joint>.load")),
+    Import("lerobot_old_calibration", "", ARM, ("deg: the calibration states it",), True, 7.97),
+    Import("npz_sysid_torque", "run.npz", says=("like a torque", "name the command <joint>.load")),
     Import("op3_knee_limp", "run.csv", KNEE, (*LIMP, "the servo had no torque"), seconds=4.99),
     Import("op3_knee_limp_current_velocity", "run.csv", KNEE, (*LIMP, "its torque was off"), seconds=4.99),
     Import(
         "op3_right_side_mirrored",
         "run.csv",
         KNEE,
-        ("joint: r_knee\n", "with the sign reversed", "r_sho_pitch, r_sho_roll, r_el, r_hip_pitch", "close to 0"),
+        ("joint: r_knee\n", "with reversed sign", "r_sho_pitch, r_sho_roll, r_el, r_hip_pitch", "close to 0"),
         seconds=4.99,
     ),
     Import("ros_leader_follower", "", ARM, silent=True),
     Import("ros_sim_time_half_speed", "", ARM, silent=True),
     Import("ros_sim_time_half_speed_vel", "", ARM, ("joint/velocity",), silent=True),
     Import("ros_trajectory_single_points", "", {"shoulder_pan": 0.347, "wrist_roll": 0.445}, silent=True),
-    Import("ros_two_publishers_zero", "", ARM, ("these are zeros and are ignored",), silent=True),
+    Import("ros_two_publishers_zero", "", ARM, ("publishes zeros; its messages are ignored",), silent=True),
 ]
 
 

@@ -172,8 +172,11 @@ def slow_and_jumps(table: Table) -> None:
 
 
 REFUSED: dict[str, tuple[Change, str]] = {
-    "clock set forward": (add("time", 3600, 500), r"row 501, column time: time jumps .* the clock was set here; split"),
-    "clock set back": (add("time", -2.0, 500), r"row 501, column time: time goes back"),
+    "clock set forward": (
+        add("time", 3600, 500),
+        r"row 501, column time: time jumps .* the clock was adjusted here; split",
+    ),
+    "clock set back": (add("time", -2.0, 500), r"row 501, column time: time decreases"),
     "a second is missing": (gap(400, 525), r"row 401, column time: .* about 12\d rows are missing"),
     "a quarter of a second is missing": (gap(400, 432), r"about 3\d rows are missing"),
     "another turn": (
@@ -208,13 +211,13 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "velocity in counts": (scale(".*velocity", 1 / 0.02398), r"counts of 0\.229 rpm"),
     "velocity in rpm": (scale(".*velocity", 9.549), r"in rpm"),
     "velocity turned": (scale(".*velocity", -1), r"velocity is -(1|0.99\d*) times .* sign reversed"),
-    "position turned": (scale(".*(position|velocity)", -1), r"position moves against its command"),
+    "position turned": (scale(".*(position|velocity)", -1), r"position moves opposite to its command"),
     "a slow joint's jump": (slow_and_jumps, r"row 401, column joint_0.position: position jumps by \+0\.4"),
     "a spike": (put("joint_0.position", 2.9, 300), r"row 301, .* position jumps by \+\d.* in one row, faster"),
     "a dead sensor": (scale("joint_0.position", 0), r"position stays at 0 rad while its command moves by"),
     "repeated rows": (
         put("imu.*|.*(position|velocity)", np.nan, 400, 440),
-        r"row 401, .* keep the same values for 40 rows",
+        r"row 401, .* all sensor values are constant for 40 rows",
     ),
     "milliseconds": (scale("time", 1e3), r"the time looks like milliseconds"),
     "a counter set anew": (add("joint_0.position", -0.3, 500), r"row 501, .* jumps by -0\.3\d+ rad in one row, faster"),
@@ -319,9 +322,9 @@ def test_a_position_of_another_recording_is_told(tmp_path):
     ("read", "said"),
     [
         (lambda a, q: a * [1, -1, -1], "the sign of pitch and yaw were reversed"),
-        (lambda a, q: np.rad2deg(a), "its angles were in degrees"),
+        (lambda a, q: np.rad2deg(a), "the angles were in degrees"),
         (lambda a, q: a[:, [1, 0, 2]], "roll and pitch were swapped"),
-        (lambda a, q: q.inv().as_euler("ZYX")[:, ::-1], "that of the world in the body's frame"),
+        (lambda a, q: q.inv().as_euler("ZYX")[:, ::-1], "the orientation of the world in the body's frame"),
         (
             lambda a, q: Rotation.from_quat(q.as_quat()[:, [3, 0, 1, 2]]).as_euler("ZYX")[:, ::-1],
             "had been written as w, x, y, z",
@@ -350,7 +353,7 @@ def test_joints_that_differ_in_capital_letters_are_told():
     log = bench_log(joints=2)
     about = dataclasses.replace(log.metadata, joints=("knee", "Knee"))
     found = examine(dataclasses.replace(log, metadata=about))
-    assert any("knee and Knee differ in capital letters only" in finding.problem for finding in found)
+    assert any("knee and Knee differ only in capital letters" in finding.problem for finding in found)
 
 
 def test_a_joint_that_goes_with_another_one_is_not_swapped_with_it(tmp_path):
@@ -388,7 +391,7 @@ WARNED: dict[str, tuple[Change, str]] = {
     "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only every 10 rows"),
     "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
     "a slower clock": (edit("time", lambda v: v + np.maximum(v - 4.5, 0)), "the intervals become 2 times as long"),
-    "lost rows of an uneven clock": (lost_unevenly, "the rows are missing, one at a time"),
+    "lost rows of an uneven clock": (lost_unevenly, "the rows are missing, each alone"),
     "no target": (
         put("joint_0.target", np.nan, 0, 1000),
         "target stays at 0 rad in every row while the joint moves by",
@@ -398,11 +401,11 @@ WARNED: dict[str, tuple[Change, str]] = {
     "a single angle": (put("imu.pitch", -0.9, 300), "a single reading of -0.9 lies between"),
     "a gyroscope that stops": (
         put("imu.gyro_.", np.nan, 500, 1000),
-        "angular velocity keeps the same values for 499 rows",
+        "values of angular velocity are constant for 499 rows",
     ),
     "an orientation that stops": (
         put("imu.(roll|pitch|yaw)", np.nan, 500, 1000),
-        "orientation keeps the same values for 499",
+        "values of orientation are constant for 499",
     ),
     "another zero of a bench": (add("joint_0.position", 0.5), "0.548 rad from its command in every pose"),
     "a velocity of nothing for a while": (
@@ -430,7 +433,7 @@ WARNED: dict[str, tuple[Change, str]] = {
     ),
     "lost rows": (
         edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.07]),
-        "the rows are missing, one at a time",
+        "the rows are missing, each alone",
     ),
 }
 
@@ -509,7 +512,7 @@ SIDES = {
         r"field battery: the key is on line \d+ and again on line \d+",
     ),
     "another robot": ("robot_file: op3\n", r"field joints: joint_0 is not a joint of op3"),
-    "another gain": ("firmware_gain: 3\n", r"firmware_gain is 3 in the metadata and 32 in the column"),
+    "another gain": ("firmware_gain: 3\n", r"firmware_gain is 3 in the metadata but 32 in the column"),
 }
 
 
@@ -586,11 +589,11 @@ def driven(table: Table) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (rotate("current"), "current is that of joint_2"),
-        (edit("joint_1.current", np.abs), "current has lost its sign"),
+        (rotate("current"), "current belongs to joint_2"),
+        (edit("joint_1.current", np.abs), "current was recorded without its sign"),
         (put("joint_1.current", 0.0, 0, 1000), "current stays at 0 in every row"),
         (edit("joint_1.current", lambda v: np.full(1000, 0.31)), "current stays at 0.31 in every row"),
-        (put("joint_1.current", np.nan, 300, 1000), "current keeps the same values for 699 rows"),
+        (put("joint_1.current", np.nan, 300, 1000), "values of current are constant for 699 rows"),
     ],
 )
 def test_one_joints_bad_current_is_set_aside(tmp_path, change, expected):
@@ -641,7 +644,7 @@ def wrongs(draw: st.DrawFn) -> tuple[Change, str, str]:
                     velocity,
                     delayed,
                 ),
-                (edit(velocity, np.abs), velocity, "lost its sign"),
+                (edit(velocity, np.abs), velocity, "without its sign"),
                 (put(velocity, np.nan, row, row + 250), velocity, "hardly changes|stays|times the derivative"),
                 (put(velocity, 45.0, row), velocity, "single reading"),
                 (add(position, 2 * np.pi * turns, row), position, "jumps by"),
@@ -650,9 +653,9 @@ def wrongs(draw: st.DrawFn) -> tuple[Change, str, str]:
                 (put(position, jump + 3, row, row + 3), position, "jumps by"),
                 (edit(position, lambda v: np.round(v / 0.1) * 0.1), position, "steps of 0.1"),
                 (scale(position, 57.2958), position, "deg"),
-                (scale(f"{joint}.(position|velocity)", -1), position, "against its command"),
-                (edit("time", lambda v: v - 5 * (np.arange(1000) >= row)), "time", f"row {row + 1}, .*goes back"),
-                (edit("time", lambda v: v + 5 * (np.arange(1000) >= row)), "time", "the clock was set here"),
+                (scale(f"{joint}.(position|velocity)", -1), position, "opposite to its command"),
+                (edit("time", lambda v: v - 5 * (np.arange(1000) >= row)), "time", f"row {row + 1}, .*decreases"),
+                (edit("time", lambda v: v + 5 * (np.arange(1000) >= row)), "time", "the clock was adjusted here"),
             ]
         )
     )
@@ -707,7 +710,7 @@ def test_split(tmp_path, change):
 def test_a_folder_of_ours_takes_no_options(tmp_path):
     """They would be passed over without a word."""
     bench_log().save(tmp_path / "a")
-    with pytest.raises(LogError, match="a rollout folder is read unchanged, and unwrap does not apply to it"):
+    with pytest.raises(LogError, match="a rollout folder is read unchanged, so unwrap does not apply"):
         read_episodes(tmp_path / "a", {"unwrap": True, "shift": None})
 
 
@@ -776,7 +779,7 @@ def test_a_spreadsheet_is_no_table(tmp_path):
     with zipfile.ZipFile(stream, "w") as archive:
         archive.writestr("run.csv", path.read_text())
     path.write_bytes(stream.getvalue())
-    with pytest.raises(LogError, match=r"run.csv: it is a zip archive or a spreadsheet; unpack it, or export"):
+    with pytest.raises(LogError, match=r"run.csv: the file is a zip archive or a spreadsheet; unpack it, or export"):
         read_log(path)
 
 
@@ -784,7 +787,7 @@ def test_a_table_without_a_header(tmp_path):
     """Its first row is numbers, and the sentence says so."""
     path = write(tmp_path)
     path.write_text(path.read_text().partition("\n")[2])
-    with pytest.raises(LogError, match=r"row 1: there is no header, the first row holds numbers"):
+    with pytest.raises(LogError, match=r"row 1: there is no header; the first row contains numbers"):
         read_log(path)
 
 
@@ -860,7 +863,7 @@ def test_an_orientation_upside_down_is_no_fault_of_the_accelerometer():
     [
         (scale("joint_.*current", 0.5), "times gain times error"),
         (add("joint_1.current", 0.3), "current differs from gain times error by +0.3 A"),
-        (edit("joint_.*current", np.abs), "current has lost its sign"),
+        (edit("joint_.*current", np.abs), "current was recorded without its sign"),
     ],
 )
 def test_currents_that_are_not_the_laws(tmp_path, change, expected):
@@ -1098,7 +1101,7 @@ def test_loads_with_their_sign_in_bit_ten_are_told(tmp_path):
         table["joint_0.load"] = np.where(load < 0, 1024 - load, load)
 
     (found,) = (one for one in read_log(write(tmp_path, change)).findings if one.column == "joint_0.load")
-    assert "carry their sign in bit 10" in found.problem
+    assert "have their sign in bit 10" in found.problem
     assert found.set_aside
 
 
@@ -1121,7 +1124,7 @@ def test_an_orientation_that_stops_is_set_aside():
     angles = log.array("imu/orientation").copy()
     angles[400:] = angles[400]
     found = examine(changed(log, imu__orientation=angles))
-    assert any("orientation keeps the same values for 599 rows" in one.problem and one.set_aside for one in found)
+    assert any("values of orientation are constant for 599 rows" in one.problem and one.set_aside for one in found)
     rates = np.where(np.arange(log.rows)[:, None] < 400, log.array("imu/angular_velocity"), 0.03)
     found = examine(changed(log, imu__orientation=angles, imu__angular_velocity=rates))
     assert not any("orientation keeps" in one.problem for one in found)
@@ -1162,7 +1165,7 @@ def test_a_sign_is_told_of_a_joint_that_follows_badly(sign):
     position = 0.25 + 0.2 * np.sin(5 * time - 0.3) + 0.2 * np.sin(3.1 * time - 0.2) + 0.15 * np.sin(11 * time)
     arrays = {"time": time, "command/position": target, "joint/position": sign * position}
     found = examine(Rollout.from_arrays(arrays, Metadata(("knee",), "real", "stand", 100.0)))
-    assert ["moves against its command" in one.problem for one in found] == [True] * (sign < 0)
+    assert ["moves opposite to its command" in one.problem for one in found] == [True] * (sign < 0)
 
 
 def test_zeros_of_most_joints_are_told(tmp_path):
@@ -1205,10 +1208,10 @@ def test_a_clock_at_half_its_speed_is_told(tmp_path):
 
 def test_a_misspelt_option_is_refused_by_its_name(tmp_path):
     """In the YAML and in a call."""
-    with pytest.raises(LogError, match="'unwrapp': no such field; rename it unwrap if that is meant"):
+    with pytest.raises(LogError, match="'unwrapp': no such field; rename it to unwrap if that is meant"):
         read_log(write(tmp_path, side="unwrapp: true\n"))
     (tmp_path / "other").mkdir()
-    with pytest.raises(LogError, match="'spllit' is not an option of an import; rename it split"):
+    with pytest.raises(LogError, match="'spllit' is not an import option; rename it to split"):
         read_episodes(write(tmp_path / "other"), {"spllit": True})
 
 
@@ -1231,7 +1234,7 @@ def test_rates_in_the_frame_of_the_world_are_refused():
     for read, told in ((body, False), (rates.apply(body), True)):
         arrays = dict(imu__orientation=turned, imu__angular_velocity=read, imu__linear_acceleration=force)
         found = examine(changed(log, **arrays))
-        assert any("in the frame of the world" in one.problem for one in found) == told
+        assert any("in the world frame" in one.problem for one in found) == told
 
 
 def noised(time: np.ndarray, size: float) -> np.ndarray:
@@ -1600,7 +1603,9 @@ def test_duty_is_the_firmwares_gain_times_error():
         assert [said is not None and said in one for one in problems] == [True] * (said is not None)
 
 
-@pytest.mark.parametrize(("name", "told"), [("xl330", None), ("sts3302", "rename it sts3"), ("acme", "known servos")])
+@pytest.mark.parametrize(
+    ("name", "told"), [("xl330", None), ("sts3302", "rename it to sts3"), ("acme", "known servos")]
+)
 def test_a_servo_of_which_nothing_is_known_is_told(name, told):
     """Its law and units are guesses then; the nearest name is named."""
     found = [one for one in examine(bench_log(servo=name)) if one.check == "unknown servo"]
@@ -1610,7 +1615,7 @@ def test_a_servo_of_which_nothing_is_known_is_told(name, told):
 def test_a_few_rows_are_told():
     """Hardly any check looks at them."""
     (part,) = [bench_log().between(0.0, 4.5 / RATE)]
-    assert [one.problem for one in examine(part)] == ["5 rows are too few to be checked"]
+    assert [one.problem for one in examine(part)] == ["5 rows are too few for the checks"]
 
 
 def trunk_log(mount: str, turns: float, noise: float) -> Rollout:

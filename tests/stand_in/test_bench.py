@@ -54,7 +54,7 @@ def test_a_bench_keeps_its_commitment(tmp_path):
         commit(cases[1:], tmp_path)
     changed = tmp_path / f"{cases[0].name}.yaml"
     changed.write_text(changed.read_text() + "# more\n")
-    with pytest.raises(ValueError, match="another answer"):
+    with pytest.raises(ValueError, match="a different answer"):
         commit(cases, tmp_path)
 
 

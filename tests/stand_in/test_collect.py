@@ -117,7 +117,7 @@ def test_what_has_been_recorded_is_not_recorded_again(tmp_path):
     assert not (tmp_path / "squat-1").exists()
     again = collect(*asked)
     assert again.returncode == 0, again.stderr
-    assert again.stdout.count("recorded before") == 1
+    assert again.stdout.count("already recorded") == 1
     assert Rollout.load(tmp_path / "squat-1").fingerprint() == whole
 
 

@@ -177,7 +177,9 @@ def test_bad_arguments(arguments, message):
 
 def test_targets_beyond_the_soft_limits_are_refused():
     """The message names joint, angle and limits."""
-    with pytest.raises(ValueError, match=r"asks head_pan for 2\.000 rad at 0\.000 s; it may go from -1\.571 to 1\.571"):
+    with pytest.raises(
+        ValueError, match=r"commands head_pan to 2\.000 rad at 0\.000 s; its limits are -1\.571 and 1\.571"
+    ):
         StandIn(HiddenWorld(), build_scene("stand", "op3")).play(
             Motion(np.array([0.0, 1.0]), np.full((2, 1), 2.0), ("head_pan",), robot="op3")
         )

@@ -84,7 +84,7 @@ def test_a_foreign_table_is_read_in_the_robots_terms(tmp_path):
 def test_what_needs_feet_says_so(tmp_path):
     """In one sentence."""
     path = write_robot(tmp_path, "dog")
-    with pytest.raises(ValueError, match="dog does not walk: the scene 'floor' needs soles, but its file"):
+    with pytest.raises(ValueError, match="dog cannot stand: the scene 'floor' needs soles, but its file"):
         ModelRobot(str(path), mount="floor").play(multisine(duration=1.0, robot=str(path)), 6.0, 0.1)
 
 

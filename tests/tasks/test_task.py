@@ -69,8 +69,8 @@ IMPOSSIBLE = {
     "observations.command does not fit the robot op3: the task has no command": ("walk", {"observations.command": {}}),
     "observations.phase.noise must be a number of at least 0": ("walk", {"observations.phase.noise": -1.0}),
     "actions.position.spam: unknown field; the nearest is 'span'": ("walk", {"actions.position.spam": 1.0}),
-    "actions.positions: there is no such action term": ("walk", {"actions.positions": {}}),
-    "commands.velocity: forward must be a least and a greatest value": (
+    "actions.positions: unknown action term": ("walk", {"actions.positions": {}}),
+    "commands.velocity: forward must be a smallest and a largest value": (
         "walk",
         {"commands.velocity": {"forward": [1.0, 0.0]}},
     ),

@@ -188,11 +188,11 @@ def test_sigterm_leaves_a_checkpoint_to_resume_from(tmp_path):
 
 def test_broken_checkpoints_are_refused(tmp_path):
     """Resuming without a checkpoint, from a torn one, or with other networks ends with one sentence."""
-    with pytest.raises(FileNotFoundError, match="no checkpoint there"):
+    with pytest.raises(FileNotFoundError, match="there is no checkpoint"):
         run(tmp_path, resume=True)
     settings = dataclasses.replace(SETTINGS, steps=256)
     run(tmp_path, settings)
-    with pytest.raises(ValueError, match="resume with the settings it had"):
+    with pytest.raises(ValueError, match="resume with its original settings"):
         run(tmp_path, settings, resume=True, learn={**LEARN, "hidden": (16, 16)})
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(path.read_bytes()[:1000])

@@ -32,7 +32,7 @@ OPEN_CR_INSTRUCTIONS = (
 _IMU = slice(OPEN_CR["gyro_x"].address, OPEN_CR["yaw"].end)
 _VOLTAGE = OPEN_CR["present_voltage"].address
 _UNITS = np.repeat([GYRO_UNIT, ACCELERATION_UNIT, ANGLE_UNIT], 3)
-# The firmware cuts off the fraction of an angle; a reading on the grid must not fall below it by rounding.
+# The firmware truncates angles; rounding must not move a reading on the grid below it.
 _COUNTS_PER_SI = np.tile(OPEN_CR_AXES, 3) / _UNITS * np.repeat([1.0, 1.0, 1 + 1e-9], 3)
 
 
@@ -40,7 +40,7 @@ class Device:
     """One device on the bus.
 
     Attributes:
-        ready: time from which it answers [s]; infinite while it has no power.
+        ready: time from which the device answers [s]; infinite without power.
     """
 
     def __init__(self, table: ControlTable, device_id: int):
@@ -79,7 +79,7 @@ class Device:
 
     @property
     def return_delay(self) -> float:
-        """Pause that it makes before it answers [s]."""
+        """Delay before it answers [s]."""
         return self.memory[self._delay_at] * RETURN_DELAY_UNIT
 
     @property
@@ -108,14 +108,14 @@ class Device:
         return Error.NONE, bytes(self.memory[address : address + length])
 
     def write(self, address: int, data: bytes) -> int:
-        """Write registers; if one of them is refused none is written. Returns the error."""
+        """Write all registers or, if one is refused, none; return the error."""
         register = self.table.at(address)
         if register is None or register.size != len(data):
             return self._write_bytes(range(address, address + len(data)), data)
         return self._write_whole({register: data})
 
     def _write_bytes(self, targets: Sequence[int], data: bytes) -> int:
-        """Write each byte to its address; they must make up whole registers."""
+        """Write each byte to its address; the bytes must form complete registers."""
         parts: dict[Register, dict[int, int]] = {}
         for target, byte in zip(targets, data, strict=True):
             register = self._owner[target] if target < self.table.size else None
@@ -132,7 +132,7 @@ class Device:
             if error := self.check(register, value):
                 return error
         for register, value in values.items():
-            if not self.check(register, value):  # one that was written may have locked another
+            if not self.check(register, value):  # an earlier write may have locked this register
                 self.memory[register.address : register.end] = contents[register]
                 self.written(register, value)
         return Error.NONE
@@ -148,13 +148,13 @@ class Device:
 
 
 class OpenCR(Device):
-    """IMU, battery voltage, and the switch that gives the servos power.
+    """IMU, battery voltage, and the power switch of the servos.
 
-    After the OP3's firmware of the board (`opencr_op3`, ROBOTIS-GIT/OpenCR): it answers pings, reads and writes, sync
-    ones too and bulk reads, and no fast reads or reboots; writes to read-only bytes are accepted and do nothing.
+    It follows the OP3's board firmware (`opencr_op3`, ROBOTIS-GIT/OpenCR): it supports ping, read, write, sync read,
+    sync write and bulk read, but not fast reads or reboots. Writes to read-only bytes are accepted without effect.
 
     Attributes:
-        frozen: whether the IMU has stopped; its registers keep what they hold.
+        frozen: whether the IMU has stopped, so that its registers keep their values.
     """
 
     def __init__(self) -> None:
@@ -188,7 +188,7 @@ class OpenCR(Device):
         return (Error.DATA_LENGTH, b"") if error else (error, data)
 
     def write(self, address: int, data: bytes) -> int:
-        """Write bytes one by one, whatever their values, leaving out those that are read-only."""
+        """Write bytes one by one without checking values; read-only bytes are skipped."""
         if not data or address >= self.table.size:
             return Error.DATA_LENGTH
         for at, byte in enumerate(data, address):

@@ -37,14 +37,14 @@ CHECK_PERIOD = 0.01
 """Interval at which servos check their voltage and temperature [s] (inferred)."""
 
 _WRITES = (Instruction.WRITE, Instruction.SYNC_WRITE)
-"""Instructions that need no measurements; the others request them."""
+"""Instructions that need no measurements; all others update them."""
 
 _FIRST, _LAST = DYNAMIXEL_X["realtime_tick"].address, DYNAMIXEL_X["present_temperature"].end
 _PRESENT = np.dtype([(register.name, register.kind) for register in DYNAMIXEL_X if _FIRST <= register.address < _LAST])
 
 
 def _shared_memory(servos: Sequence[Servo]) -> NDArray[np.uint8]:
-    """Registers [servo, address], used as the servos' memory, so that all measurements are written at once."""
+    """Memory of all servos [servo, address], so that all measurements are written at once."""
     memory = np.array([np.frombuffer(servo.memory, np.uint8) for servo in servos])
     for row, servo in zip(memory, servos, strict=True):
         servo.memory = memoryview(row)
@@ -58,7 +58,7 @@ class EmulatedClock:
         self._advance, self._now = advance, 0.0
 
     def now(self) -> float:
-        """Time since the robot was made [s]."""
+        """Time since the robot was created [s]."""
         return self._now
 
     def sleep(self, duration: float) -> None:
@@ -76,17 +76,17 @@ class EmulatedRobot:
     """A robot on its bus: its servos, its OpenCR if it has one, and a physics simulation.
 
     With an OpenCR the servos have no power until its register `dynamixel_power` is written. It does not use the wall
-    clock: equal seeds and equal calls give equal bytes.
+    clock: the same seed and the same calls give the same bytes.
 
     Args:
         settings: EEPROM registers of all servos by name, instead of `USUAL_SETTINGS`.
-        record: file for all frames on the line; None for none.
+        record: file for all frames on the line; None: no file.
 
     Attributes:
-        open_cr: the OpenCR; it also exists, but not on the bus, for a robot without one.
+        open_cr: the OpenCR; for a robot without one, an object that is not on the bus.
 
     Raises:
-        ValueError: if the robot has servos that this bus does not support, or a fault names no device of it.
+        ValueError: if the robot has servos that this bus does not support, or a fault names an unknown device.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class EmulatedRobot:
         self._stale = self._board_stale = True
         self.unplugged = self._powered = False
         self._silent: dict[int, float] = {}
-        self._heat = np.zeros((2, len(self._all)))  # when a servo began to heat up [s], and how fast [K/s]
+        self._heat = np.zeros((2, len(self._all)))  # start [s] and rate [K/s] of a servo's heating
         self._present = np.zeros(len(self._all), dtype=_PRESENT)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
@@ -169,7 +169,7 @@ class EmulatedRobot:
         self._stale = self._board_stale = True
 
     def replace(self, physics: Physics) -> None:
-        """Use other physics behind the same bus, such as the same robot in another place."""
+        """Replace the physics behind the bus, for example to move the robot to another scene."""
         physics.supply = self.physics.supply
         self.physics, self._stale, self._board_stale = physics, True, True
 
@@ -190,7 +190,7 @@ class EmulatedRobot:
 
     @property
     def driven(self) -> NDArray[np.bool_]:
-        """Which motors regulate a current; the others run free [joint]."""
+        """Which motors regulate current [joint]; the others run freely."""
         running = (self._column("torque_enable") != 0) & (self._column("operating_mode") == CURRENT_MODE)
         return running & (self._column("bus_watchdog") != WATCHDOG_ERROR)
 
@@ -211,7 +211,7 @@ class EmulatedRobot:
             servo.power(on, self.time)
 
     def switch_on(self) -> None:
-        """Give the servos power, as the robot's power button does, and let them boot."""
+        """Switch the servos' power on, as the robot's power button does, and let them boot."""
         self.open_cr.put("dynamixel_power", 1)
         self._powered = True
         self._power_servos(True)
@@ -234,7 +234,7 @@ class EmulatedRobot:
         board = self.open_cr.id
         if packet.device != board:
             self._refresh()
-        # of the reads of many only one that names the board asks for it too
+        # a sync or bulk read only includes the board if it names it
         named = packet.device == board or (packet.device == BROADCAST_ID and board in packet.parameters)
         if named and self._board_stale:
             self._board_stale = False
@@ -310,4 +310,4 @@ class EmulatedRobot:
         elif isinstance(fault, BrownOut):
             self.physics.supply = None
             if fault.voltage < RESET_VOLTAGE:
-                self._power_servos(self._powered)  # they restart if the OpenCR still gives them power
+                self._power_servos(self._powered)  # they restart if the OpenCR still supplies power

@@ -32,7 +32,7 @@ class FrozenImu:
 
 @settings("faults")
 class Overheat:
-    """A servo's temperature rises at a rate [K/s], in addition to the heating by its current."""
+    """A servo's temperature rises at a rate [K/s] in addition to heating by its current."""
 
     device: Whole
     start: Number = 0.0
@@ -44,7 +44,7 @@ class BrownOut:
     """The supply drops to a voltage [V].
 
     Below the servos' lower voltage limit they report an input voltage error; below `RESET_VOLTAGE` they lose their
-    memory and restart once it is back.
+    memory and restart when the supply returns.
     """
 
     start: Number
@@ -76,16 +76,16 @@ Scheduled = Silent | FrozenImu | Overheat | BrownOut | HardwareFault | Unplug
 
 @settings("faults")
 class Faults:
-    """Faults. Rates are shares of the packets, drawn independently.
+    """Faults of the bus. Rates are probabilities per packet, drawn independently.
 
-    Losses of 0.0002 and 0.0026 have been seen in the field.
+    Loss rates of 0.0002 and 0.0026 have been observed on real robots.
 
     Attributes:
-        lost: status packets that never reach the computer.
-        corrupt: status packets that reach it with one byte changed.
-        truncated: status packets that reach it without their end.
-        late: status packets that reach it late, and all packets after them.
-        unheard: instruction packets that no device hears.
+        lost: share of status packets that never reach the computer.
+        corrupt: share of status packets that arrive with one changed byte.
+        truncated: share of status packets that arrive without their end.
+        late: share of status packets that arrive late and delay all later packets.
+        unheard: share of instruction packets that no device receives.
         delay: delay of a late packet [s].
         scheduled: faults at given times.
     """
@@ -101,7 +101,7 @@ class Faults:
     def __post_init__(self):
         if self.spoiling > 1:
             raise ValueError(
-                "faults: lost, corrupt, truncated and late are shares of the same packets; their sum is above 1"
+                "faults: lost, corrupt, truncated and late exclude each other, so their sum must be at most 1"
             )
         for fault in self.scheduled:
             if not isinstance(fault, Scheduled):
@@ -114,7 +114,7 @@ class Faults:
         return self.lost + self.corrupt + self.truncated + self.late
 
     def check_on(self, ids: Collection[int]) -> None:
-        """Refuse a fault of a device that is not on the bus with these ids."""
+        """Raise an error for a fault of a device that is not on the bus with these ids."""
         for fault in self.scheduled:
             device = getattr(fault, "device", None)
             if device is not None and device not in ids:

@@ -36,15 +36,15 @@ Answer = tuple[float, bytes]
 
 
 class Dispatcher:
-    """Hands instructions to the devices.
+    """Passes instructions to the devices.
 
     In sync and bulk reads a device answers after the answer of the previous one, so after a missing device none answers
-    (as in the OpenCR's firmware; its timeout of 50 ms exceeds the usual ones of computers). All answers contain the
+    (as in the OpenCR's firmware, whose timeout of 50 ms exceeds usual timeouts of computers). All answers contain the
     registers' values at the end of the instruction.
 
     Args:
-        turnaround: from an instruction's end to the answer [s].
-        hears: whether a device receives an instruction at present.
+        turnaround: time from an instruction's end to the answer [s].
+        hears: function that decides whether a device receives an instruction.
     """
 
     def __init__(self, devices: Sequence[Device], turnaround: float, hears: Callable[[Device], bool]):
@@ -75,7 +75,7 @@ class Dispatcher:
             return [(self._pause(device), encode_status_1(packet.device))]
         if not isinstance(device, Servo) and instruction not in OPEN_CR_INSTRUCTIONS:
             return []
-        level = device.return_level  # before it changes, as the manual's examples show
+        level = device.return_level  # read before the write takes effect, as in the manual's examples
         error, data = self._single(device, packet, now)
         if level < LEVELS.get(instruction, 2):
             return []
@@ -135,7 +135,7 @@ class Dispatcher:
         return answers
 
     def _fast(self, asked: Sequence[tuple[int, int, int]]) -> list[Answer]:
-        """Answers to a fast read; its length is that of the request, even if some devices do not answer."""
+        """Answers to a fast read, with the requested length even if some devices do not answer."""
         parts, pauses, silent = [], [], False
         for number, address, length in asked:
             device = self._listening(number)
@@ -159,7 +159,7 @@ def _word(data: bytes, at: int) -> int:
 
 
 def _reads(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]]:
-    """Id, address and length of all that a sync or bulk read asks for."""
+    """Id, address and length of every item that a sync or bulk read requests."""
     if instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
         if len(parameters) > 4:
             address, length = _word(parameters, 0), _word(parameters, 2)
@@ -170,7 +170,7 @@ def _reads(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]
 
 
 def _writes(parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Id, address and data of a sync write, as far as it is complete."""
+    """Id, address and data of the complete items of a sync write."""
     if len(parameters) > 4:
         address, length = _word(parameters, 0), _word(parameters, 2)
         for at in range(4, len(parameters) - length, length + 1):

@@ -1,4 +1,4 @@
-"""The line between computer and devices: byte after byte, one sender at a time; and files of its frames."""
+"""The line between computer and devices, which carries one byte at a time from one sender, and files of its frames."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ class LineTiming:
     """Delays of the transmission: with these values a tick of twenty servos and the IMU takes 5.1 ms at 2 Mbit/s.
 
     Attributes:
-        host_delay: from a write of the computer to the first bit on the line [s].
-        turnaround: from an instruction's end to the answer, besides the register `return_delay_time` [s] (inferred).
-        usb_delay: from the adapter to the computer [s].
+        host_delay: time from a write of the computer to the first bit on the line [s].
+        turnaround: time from an instruction's end to the answer, in addition to the register `return_delay_time` [s]
+            (inferred).
+        usb_delay: time from the adapter to the computer [s].
         latency_timer: time for which the adapter collects bytes before it sends fewer than `USB_PAYLOAD` [s]. Linux'
             default for FTDI adapters is 0.016; robots set 0.001.
         quiet: silence after which the devices discard an incomplete packet [s].
@@ -44,15 +45,15 @@ BITS_PER_BYTE = 10
 """Start bit, eight bits, stop bit."""
 
 Direction = Literal[">", "<"]
-"""From the computer to the devices, or back."""
+"""To the devices, or to the computer."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Bytes that went over the wire together.
+    """Bytes that were transmitted together.
 
     Attributes:
-        time: when the first bit left [s].
+        time: time of the first bit [s].
         direction: ">" from the computer, "<" to it.
         data: bytes on the wire, or those that reached the computer after a fault.
     """
@@ -66,7 +67,7 @@ def read_frames(path: str | Path) -> list[Frame]:
     """The frames of a file that a `Line` wrote.
 
     Raises:
-        ValueError: naming the line that is not a frame.
+        ValueError: if a line is not a frame; the message names the line.
     """
     frames = []
     for number, line in enumerate(Path(path).read_text(encoding="ascii").splitlines(), 1):
@@ -93,7 +94,7 @@ class Line:
     """The line, the adapter, and the bytes under way.
 
     Args:
-        rng: decides about faults.
+        rng: random generator of the faults.
         record: new file for all frames, ``<time in s> <direction> <bytes in hexadecimal>``; None for none.
     """
 
@@ -125,7 +126,7 @@ class Line:
         self._host_ends = end
         collides = begin < self._devices_end
         if collides:
-            # two speakers at once: nobody understands this, and what the devices were saying is cut off
+            # two senders at once: nobody receives this, and the devices' answer is truncated
             self._cut(begin)
             self._parser.reset()
         self.flush_frames()
@@ -141,7 +142,7 @@ class Line:
             self._devices_end = max(self._devices_end, line)
 
     def _speak(self, begin: float, answer: bytes, byte_time: float) -> float:
-        """A device answers; returns when it ends."""
+        """Send a device's answer; return the time of its end [s]."""
         heard = self._spoil(answer, begin) if self.faults.spoiling else answer
         if self._file is not None and heard:
             self._spoken.append((begin, heard))
@@ -165,10 +166,10 @@ class Line:
         return answer
 
     def _receive(self, begin: float, data: bytes, byte_time: float) -> None:
-        """Bytes reach the adapter one after the other; it sends them on when it is full or its timer ends."""
+        """Deliver bytes to the adapter, which forwards them when it is full or its timer ends."""
         done, last = 0, begin + len(data) * byte_time
         if self._adapter and last < self._deadline and len(self._adapter) + len(data) < USB_PAYLOAD:
-            self._adapter += data  # it neither fills up nor waits long enough meanwhile
+            self._adapter += data  # the adapter is not full and its timer has not ended
             return
         while done < len(data):
             first = begin + (done + 1) * byte_time
@@ -184,7 +185,7 @@ class Line:
                 self._flush(begin + done * byte_time)
 
     def _timer_after(self, time: float) -> float:
-        """When the adapter's timer, which restarts with every transfer, ends next."""
+        """Next end of the adapter's timer [s], which restarts with every transfer."""
         period = self.timing.latency_timer
         return self._flushed + period * max(1, ceil((time - self._flushed) / period))
 
@@ -211,7 +212,7 @@ class Line:
             self._file.write(f"{begin:.7f} {direction} {data.hex(' ')}\n")
 
     def flush_frames(self) -> None:
-        """Write the answers that have been on the line since the last instruction."""
+        """Record the answers sent since the last instruction."""
         for begin, data in self._spoken:
             self._write_frame(begin, "<", data)
         self._spoken.clear()
@@ -224,7 +225,7 @@ class Line:
 
     @property
     def next_arrival(self) -> float:
-        """When the computer gets its next bytes [s]; infinite if none are under way."""
+        """Time at which the computer receives its next bytes [s]; infinite if none are in transit."""
         if self._ready:
             return 0.0
         if self._inbox:
@@ -234,7 +235,7 @@ class Line:
         return inf
 
     def available(self, now: float) -> int:
-        """How many bytes wait for the computer."""
+        """Number of bytes that the computer can read."""
         self._flush_until(now)
         inbox, ready = self._inbox, self._ready
         while inbox and inbox[0][0] <= now:
@@ -242,7 +243,7 @@ class Line:
         return len(ready)
 
     def take(self, length: int, now: float) -> bytes:
-        """A number of bytes that wait for the computer, at most."""
+        """At most this number of the bytes that the computer can read."""
         if len(self._ready) < length:
             self.available(now)
         taken = bytes(self._ready[:length])
@@ -250,6 +251,6 @@ class Line:
         return taken
 
     def discard(self, now: float) -> None:
-        """Discard the bytes that wait for the computer."""
+        """Discard the bytes that the computer can read."""
         self.available(now)
         self._ready.clear()

@@ -17,11 +17,11 @@ from op3.stand_in.sensors import Sensors
 Array = NDArray[np.float64]
 
 PERIOD = 0.001
-"""Period of the servos' own loops [s] (inferred: the register `realtime_tick` counts in it)."""
+"""Period of the servos' control loops [s] (inferred: the unit of the register `realtime_tick`)."""
 
 
 class Physics(Protocol):
-    """A robot without its electronics.
+    """The physics of a robot, without its electronics.
 
     Attributes:
         known: content of its file; its joints are in the order of every [joint] array.
@@ -61,7 +61,7 @@ class StandInPhysics(StandIn):
     """A stand-in robot with hidden parameters behind the bus. It has a battery, temperatures and an IMU.
 
     Args:
-        seed: of the sensors' noise and the servos' state.
+        seed: seed of sensor noise and servo state.
         joint_position: [joint] in rad at the start; by default home.
     """
 

@@ -47,11 +47,11 @@ class VirtualPort(PortHandler):
         """Number of received bytes."""
         self._check()
         if not self._robot.bus.available(self._clock.now()):
-            self._clock.sleep(POLL)  # whoever asks again and again must get on
+            self._clock.sleep(POLL)  # repeated polls must advance time
         return self._robot.bus.available(self._clock.now())
 
     def readPort(self, length: int) -> bytes:
-        """A number of bytes, at most; without any, time passes until some arrive or the packet's timeout ends."""
+        """At most this number of bytes; if there are none, time passes until some arrive or the timeout ends."""
         self._check()
         bus, clock = self._robot.bus, self._clock
         now = clock.now()

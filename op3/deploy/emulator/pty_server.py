@@ -17,14 +17,14 @@ PATIENCE = 0.002
 """Longest interval between synchronisations with the wall clock [s]."""
 
 READ_SIZE = 4096
-"""Bytes taken from the terminal at once."""
+"""Number of bytes read from the terminal at once."""
 
 _SPEEDS: dict[int, int] = {
     getattr(termios, f"B{speed}"): speed
     for speed in (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
     if hasattr(termios, f"B{speed}")
 }
-"""Bits per second by the terminal's code for them."""
+"""Baud rate by the terminal's code [bit/s]."""
 
 
 class PtyServer:
@@ -54,7 +54,7 @@ class PtyServer:
 
     def __enter__(self) -> PtyServer:
         """Start serving."""
-        # a search for garbage among what the imports have left takes longer than a tick
+        # garbage collection after the imports takes longer than a tick
         gc.collect()
         gc.freeze()
         self._thread.start()
@@ -90,7 +90,7 @@ class PtyServer:
         except Exception as error:
             self.error = error
         finally:
-            # by this thread alone, once: their numbers may belong to other files afterwards
+            # closed once, by this thread: the descriptors may be reused afterwards
             for end in (self._master, self._slave):
                 os.close(end)
 
@@ -117,7 +117,7 @@ class PtyServer:
     def _read(self) -> bytes:
         try:
             return os.read(self._master, READ_SIZE)
-        except OSError:  # nobody has the port open
+        except OSError:  # no program has opened the port
             return b""
 
     def _write(self, data: bytes) -> int:

@@ -20,7 +20,7 @@ from op3.deploy.registers import (
 )
 
 BOOT_TIME = 0.08
-"""From power or a reboot to the first answer [s] (inferred: ROBOTIS' op3_manager waits 0.1 s)."""
+"""Time from power-on or reboot to the first answer [s] (inferred: ROBOTIS' op3_manager waits 0.1 s)."""
 
 WATCHDOG_ERROR = -1
 """Value of `bus_watchdog` once it has tripped."""
@@ -34,7 +34,7 @@ class Servo(Device):
     """One servo's registers.
 
     Args:
-        settings: values of its EEPROM, by register name, where they differ from the factory's.
+        settings: EEPROM values that differ from the factory values, by register name.
 
     Attributes:
         watchdog: time without packets after which the servo switches to free running [s]; infinite while it is off.
@@ -90,7 +90,7 @@ class Servo(Device):
         self.watchdog = inf
 
     def _pointed(self, address: int, end: int) -> list[int]:
-        """Targets of these addresses: those of indirect data point elsewhere, all others to themselves."""
+        """Targets of these addresses: indirect data addresses refer to others, and all others to themselves."""
         key = address, end
         if key not in self._places:
             places = list(range(address, end))
@@ -102,7 +102,7 @@ class Servo(Device):
         return self._places[key]
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Error and data of a read, through indirect addresses where there are any."""
+        """Error and data of a read, with indirect addresses resolved."""
         end = address + length
         if end <= FIRST_INDIRECT_DATA or end > self.table.size:
             return super().read(address, length)
@@ -128,7 +128,7 @@ class Servo(Device):
         if name == "operating_mode" and value not in OPERATING_MODES:
             return Error.DATA_RANGE
         if name == "torque_enable" and value and self.memory[_HARDWARE_ERROR] & self.get("shutdown"):
-            return Error.RESULT_FAIL  # (inferred) only a reboot brings torque back; the manual names no error
+            return Error.RESULT_FAIL  # (inferred) only a reboot restores torque; the manual states no error
         beyond = name == "goal_current" and abs(value) > self.get("current_limit")
         return Error.DATA_LIMIT if beyond else Error.NONE
 
@@ -137,7 +137,7 @@ class Servo(Device):
         if register.name == "goal_current":
             return
         if register.name == "operating_mode":
-            # (inferred) also where the mode stays as it was; the manual speaks of switching
+            # (inferred) also if the mode does not change; the manual describes switching
             self.put("goal_current", self.get("current_limit"))
         elif register.name == "bus_watchdog":
             self.watchdog = value * WATCHDOG_UNIT if value else inf

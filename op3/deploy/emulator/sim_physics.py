@@ -32,16 +32,16 @@ AMBIENT = 28.0
 """Temperature of the air [C]."""
 
 WARMING = 240.0
-"""Time constant with which a motor warms up: one heat capacity, heated by the current's losses [s] (inferred)."""
+"""Thermal time constant of a motor with a single heat capacity, heated by current losses [s] (inferred)."""
 
 GYRO_NOISE, ACCELEROMETER_NOISE = 0.0015, 0.02
-"""Standard deviations of a reading [rad/s], [m/s^2]; about those of the stand-in."""
+"""Standard deviations of readings [rad/s, m/s^2], similar to the stand-in's."""
 
 IMU_BANDWIDTH = 45.0
 """Corner frequency of the IMU's low-pass [Hz]."""
 
 IMU_EVERY = 5
-"""The IMU's loop runs at 200 Hz: once in this many periods."""
+"""Number of periods per update of the IMU, which runs at 200 Hz."""
 
 
 BUS_EFFECTS = ("latency", "packet_drop")
@@ -49,7 +49,7 @@ BUS_EFFECTS = ("latency", "packet_drop")
 
 
 def behind_bus(model: RobotModel) -> RobotModel:
-    """The model behind the bus: without a PD and delays, its motor driven by currents.
+    """The model behind the bus: without PD loop and delays, and with a motor driven by current.
 
     Raises:
         ValueError: if the model's motor does not regulate current.
@@ -68,8 +68,8 @@ class SimPhysics(BatchSimulation):
     """One simulated robot with the law and the parameters of a model.
 
     Args:
-        model: of the robot; see `op3.sim.load_model`.
-        scene: without servos attached.
+        model: model of the robot; see `op3.sim.load_model`.
+        scene: scene without servos attached.
         joint_position: [joint] in rad at the start; by default home.
 
     Attributes:
@@ -142,7 +142,7 @@ class SimPhysics(BatchSimulation):
         return self.signals.measured_position[0].numpy()
 
     def drive(self, enabled: NDArray[np.bool_], current: Array) -> None:
-        """See `Physics`; a motor that regulates no current runs freely."""
+        """See `Physics`; a motor that does not regulate current runs freely."""
         row = self.law.records[0]
         row["torque_enable"], row["target_current"] = enabled, current * enabled
 

@@ -7,7 +7,7 @@ from importlib import import_module
 from op3.rollout.finding import ERROR, WARNING, LogFinding, merge_findings
 from op3.rollout.health.log_view import CHECKS, examine
 
-# each enters its checks into the registry; of several errors the first is raised, so causes come before what they bring
+# each module registers its checks; the first error is raised, so causes come before their consequences
 _ORDER = "clock sidecar numbers tracking_faults velocity stops drives inertial_sensor ranges"
 for _name in _ORDER.split():
     import_module(f"{__name__}.{_name}")

@@ -9,35 +9,35 @@ from op3.rollout.keys import FORCE, ORIENTATION, POSITION, RATE, VELOCITY
 from op3.rollout.match import delays, longest_run, unexplained
 from op3.rollout.validate import GAP, holes
 
-_TOLERANCE = 0.06  # largest relative difference between the clock and the metadata's rate
-_CHANGE = 1.8  # no recorder's usual interval at the end is so many times that at the beginning, or the other way round
-_SLOWEST, _FASTEST = 2.0, 20e3  # no log of a robot has fewer rows per second, or more [Hz]
+_TOLERANCE = 0.06  # largest accepted relative difference between the clock and the metadata's rate
+_CHANGE = 1.8  # smallest ratio between the usual intervals at the two ends that is reported
+_SLOWEST, _FASTEST = 2.0, 20e3  # plausible range of the row rate of a robot log [Hz]
 _UNITS = {1.0: "seconds", 1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-_AHEAD, _LONGEST = -1.0, 1.0  # delays of a position behind its command that are looked for [s]
-_USUAL = 0.2  # servos follow their commands by at most so long [s], or so slowly that no one delay explains it
+_AHEAD, _LONGEST = -1.0, 1.0  # range of searched delays of a position after its command [s]
+_USUAL = 0.2  # longest constant delay with which servos follow commands [s]; slower servos have no constant delay
 _SPLIT = "split the file there, or write `split: true` into its YAML to read the parts"
 
 
 def _unit(times: float, least: float, most: float) -> str | None:
-    """The unit of time whose size times `times` is within these bounds; None if there is none."""
+    """The time unit for which `times` units are within these bounds; None if there is none."""
     return next((name for size, name in _UNITS.items() if size > 1 and least < size * times < most), None)
 
 
 @check("time jumps")
 def jumps(view: View) -> Found:
-    """The clock was set during the recording, or rows are missing."""
+    """The clock was adjusted during the recording, or rows are missing."""
     table = np.concatenate([view.position, view.command], axis=1)
     for row in holes(view.time)[:3].tolist():
         before, now = view.time[row - 1], view.time[row]
-        # whether joints move across the jump no further than from row to row beside it, while they move
+        # whether moving joints change as little across the jump as between the rows beside it
         beside = np.abs(np.diff(table[max(0, row - 11) : row + 10], axis=0)).sum(1)
         across, usual = np.abs(table[row] - table[row - 1]).sum(), np.median(beside)
         text = f"time jumps from {before:.10g} s to {now:.10g} s"
         if now - before > 60 or (usual > 1e-3 and across < 3 * usual):
-            text += " while the motion continues: the clock was set here"
+            text += " while the motion continues: the clock was adjusted here"
         else:
             missing = round(float(now - before) / view.interval) - 1
-            text += f": about {missing} rows are missing, and nothing can be computed across the gap"
+            text += f": about {missing} rows are missing, and no signal can be interpolated across the gap"
         yield view.found("time", text, _SPLIT, row, error=True)
 
 
@@ -46,9 +46,9 @@ def rate(view: View) -> Found:
     """The rate of the rows differs from the metadata, or is implausible for a robot."""
     steps, said, interval = np.diff(view.time), view.metadata.rate, view.interval
     row, unit, remedy = 1, None, "correct the rate or the time"
-    # The mean suits a clock that alternates between two intervals, the median one with gaps.
+    # The mean suits a clock with two alternating intervals, and the median a clock with gaps.
     if min(abs(interval * said - 1), abs(float(steps.mean()) * said - 1)) > _TOLERANCE:
-        problem = f"the median interval of {interval:.6g} s is {1 / interval:.6g} Hz, but the metadata says "
+        problem = f"the median interval of {interval:.6g} s is {1 / interval:.6g} Hz, but the metadata state "
         problem += f"rate: {said:g} Hz"
         unit = _unit(1 / (interval * said), 0.5, 2)
         row = int(np.argmax(np.abs(steps * said - 1) > _TOLERANCE)) + 1
@@ -59,13 +59,13 @@ def rate(view: View) -> Found:
         unit = _unit(1 / interval, _SLOWEST, _FASTEST)
         fast = {1e-3: ("a thousand", "milliseconds"), 1e-6: ("a million", "seconds")}
         for times, name in (how for size, how in fast.items() if _SLOWEST < size / interval < _FASTEST):
-            remedy = f"the clock runs {times} times too fast, as if {name} had been read as microseconds; name "
+            remedy = f"the clock runs {times} times too fast, as if {name} had been read as microseconds; write "
             remedy += "the unit of the times under `columns:`"
     else:
         return
-    remedy = f"the time looks like {unit}, convert it to seconds" if unit else remedy
+    remedy = f"the time looks like {unit}; convert it to seconds" if unit else remedy
     if np.all(steps == 1):
-        remedy = f"it counts rows{', or ' + unit if unit else ''}: write the time of every row [s]"
+        remedy = f"the column counts rows{', or ' + unit if unit else ''}; write the time of every row [s]"
     yield view.found("time", problem, remedy, row, error=True)
 
 
@@ -76,18 +76,18 @@ def uneven(view: View) -> Found:
     third, longest = len(steps) // 3, float(steps.max())
     lost, short = 1 - usual * len(steps) / float(steps.sum()), float((steps < 0.5 * usual).mean())
     change = float(np.median(steps[-third:]) / np.median(steps[:third]))
-    remedy = "record with a steady clock, and find out what drops rows"
+    remedy = "record with a steady clock, and find out why rows are lost"
     if (long := steps > 4 * usual).mean() > 0.02:
         problem = f"{long.sum()} intervals are over four times the usual {usual:.4g} s, up to {longest:.4g} s"
     elif not 1 / _CHANGE < change < _CHANGE:
         problem = f"the intervals become {change:.2g} times as long during the recording"
         remedy = "check whether the clock or the rate was changed"
     elif lost > 0.05 and (np.abs(steps / usual - np.round(steps / usual)) < 0.25).mean() > 0.9:
-        problem = f"about {lost:.0%} of the rows are missing, one at a time"
+        problem = f"about {lost:.0%} of the rows are missing, each alone"
     elif short > 0.05:
         problem = f"{short:.0%} of the intervals are shorter than half the usual {usual:.4g} s"
         remedy = "timestamp rows when they are read, not when they are written"
-    elif (8.5 if np.quantile(steps, 0.98) > 1.2 * usual else 4.5) * usual < longest <= GAP:  # what is longer is a hole
+    elif (8.5 if np.quantile(steps, 0.98) > 1.2 * usual else 4.5) * usual < longest <= GAP:  # a longer one is a gap
         problem = f"about {round(longest / usual) - 1} rows are missing before this one"
     else:
         return
@@ -99,7 +99,7 @@ def repeated(view: View) -> Found:
     """All sensor values stay the same while a joint moves: the recorder repeated one reading."""
     same = np.ones(max(len(view.time) - 1, 0), bool)
     for key in (key for key in view.log.channels if key[0] in ("joint", "imu")):
-        rows, values = np.flatnonzero(same), view.log.array(key)  # the first leaves few rows
+        rows, values = np.flatnonzero(same), view.log.array(key)  # few rows remain after the first condition
         same[rows] = (values[rows + 1] == values[rows]).all(1)
     first, length = longest_run(same)
     if length < 8 or length * view.interval < 0.15 or length == len(same):
@@ -109,19 +109,19 @@ def repeated(view: View) -> Found:
     out = max((steps[row] for row in (first - 1, last) if 0 <= row < len(steps)), default=0.0)
     moving = np.median(steps[steps > 0]) if steps.any() else np.inf
     speed = 0.0 if rates is None else float(np.abs(rates[first]).max())
-    # a servo that rests may keep a speed in its register, and goes on from where it was
+    # the register of a resting servo may keep a speed, and the motion continues without a jump
     fast = speed > 0.15 and length < 0.9 * len(same) and out > 0.1 * speed * length * view.interval
     heeded = slice(first, max(last - round(0.1 / view.interval), first) + 1)
-    commanded = np.ptp(view.command[heeded], axis=0).max() > 0.02  # else they may all have stood
+    commanded = np.ptp(view.command[heeded], axis=0).max() > 0.02  # otherwise all joints may have stood still
     if fast or (commanded and out > max(5 * moving, 0.03 * length * view.interval)):
-        problem = f"all sensors keep the same values for {length + 1} rows, while the robot moves"
-        remedy = "remove these rows: the recorder had no new readings"
+        problem = f"all sensor values are constant for {length + 1} rows while the robot moves"
+        remedy = "remove these rows, for which the recorder had no new readings"
         yield view.found("time", problem, remedy, first, last, error=True)
 
 
 @check("stale readings")
 def stale(view: View) -> Found:
-    """A position, or a sensor of the trunk, has new values only in every n-th row: it was read less often."""
+    """A position or a trunk sensor has new values only in every n-th row, because it was read less often."""
     remedy = "read it in every row, or record at the lower rate"
     trunk = {key: _new_in_every(view.log.array(key)) for key in (ORIENTATION, RATE, FORCE) if key in view.log}
     rarely = {key: every for key, every in trunk.items() if every >= 3}
@@ -134,20 +134,20 @@ def stale(view: View) -> Found:
         yield view.found("time", "positions have new values only every second row", remedy)
     for key, joint, column in view.columns(POSITION):
         jumps, every = np.diff(column), _new_in_every(column[:, None])
-        # a slow joint changes by one step of its encoder at a time
+        # the position of a slow joint changes by one encoder step at a time
         if every >= 3 and np.median(np.abs(jumps[jumps != 0])) > 4 * view.steps(key)[joint]:
             yield view.found((key, joint), f"the position has a new value only every {every} rows", remedy)
 
 
 def _new_in_every(values: np.ndarray) -> int:
-    """Spacing of the rows with new values ``[row, name]``; 0 if there are few such rows."""
+    """Number of rows between new values ``[row, name]``; 0 if there are few new values."""
     rows = np.flatnonzero(np.diff(values, axis=0).any(1))
     return int(np.gcd.reduce(np.diff(rows))) if len(rows) >= 20 else 0
 
 
 @check("two clocks")
 def two_clocks(view: View) -> Found:
-    """Command and position have timestamps of different clocks: the delay between them is long, or grows."""
+    """Command and position have timestamps from different clocks: the delay between them is long or grows."""
     angle, target, _, stride = view.thinned(0.02)
     period, third = stride * view.interval, len(angle) // 3
     if third * period < 1 or view.interval > 0.1:
@@ -158,8 +158,8 @@ def two_clocks(view: View) -> Found:
     usual = (lags * period > -0.05) & (lags * period < _USUAL)
 
     def clearest(*parts: slice) -> tuple[int, list[np.ndarray]]:
-        """The joint, among those that move most, whose position a delay explains best in all parts of the log, and by
-        part the unexplained share at every delay ``[lag]``; an empty list if no delay explains nearly all."""
+        """The most mobile joint whose position a delay explains best in all parts of the log, and the unexplained share
+        of each part at every delay ``[lag]``; an empty list if no delay explains nearly all motion."""
         spans = np.min([np.minimum(np.ptp(target[p], axis=0), np.ptp(angle[p], axis=0)) for p in parts], axis=0)
         joints = [j for j in np.argsort(-spans)[:3].tolist() if spans[j] > 0.1]
         curves = {j: [np.fmax(1 - delays(angle[p, j], target[p, j], lags.tolist()), 0) for p in parts] for j in joints}
@@ -173,7 +173,7 @@ def two_clocks(view: View) -> Found:
         other = all(c[n] > 4 * c.min() + 0.02 for c, n in zip(ends, (last, first), strict=True))
         if other and abs(lags[last] - lags[first]) * period > 0.15:
             problem = f"the position follows the command by {lags[first] * period:.2f} s at the beginning and "
-            problem += f"{lags[last] * period:.2f} s at the end: their timestamps come from clocks that drift apart"
+            problem += f"{lags[last] * period:.2f} s at the end: their timestamps come from two clocks that drift apart"
             yield view.found((POSITION, joint), problem, remedy)
             return
     joint, curves = clearest(slice(None))
@@ -182,13 +182,12 @@ def two_clocks(view: View) -> Found:
         late = lag < 0 or _after_friction(angle[:, joint], target[:, joint], period) > 4 * curve.min()
         if curve[usual].min() > 3 * curve.min() and late:
             problem = f"the position {'comes before' if lag < 0 else 'follows'} its command by {abs(lag):.2f} s "
-            yield view.found((POSITION, joint), problem + "throughout: their clocks differ, or one is shifted", remedy)
+            yield view.found((POSITION, joint), problem + "throughout: their clocks or time origins differ", remedy)
 
 
 def _after_friction(angle: np.ndarray, target: np.ndarray, period: float) -> float:
-    """Share of a position that friction in a soft loop, with damping and gravity, does not explain; in slow motions
-    friction resembles a delay. It holds a joint until its command is a certain distance away, and then keeps it that
-    distance behind."""
+    """Share of a position that friction in a soft loop, with damping and gravity, does not explain. In slow motions
+    friction resembles a delay: the joint stays until its command is some distance away, then follows at it."""
     left = []
     for width in np.quantile(np.abs(target - angle), [0.25, 0.5, 0.75, 0.9, 0.97]):
         held, at = np.empty(len(target)), float(angle[0])

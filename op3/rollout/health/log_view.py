@@ -33,11 +33,11 @@ class View:
         """Position minus target [time, joint]."""
         switch, gain = self.get(SWITCH), self.get(P_GAIN)
         self.off = np.zeros(self.command.shape, bool) if switch is None else switch == 0
-        """Whether the log says that the servo is switched off [time, joint]."""
+        """Whether the servo is switched off according to the log [time, joint]."""
         self.driven = ~self.off if gain is None else ~self.off & (gain != 0)
-        """Whether the servo drives, towards its target [time, joint]."""
+        """Whether the servo drives towards its target [time, joint]."""
         self.interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
-        """Usual time from row to row [s]."""
+        """Usual interval between rows [s]."""
         self._steps: dict[Key, np.ndarray] = {}
 
     @cached_property
@@ -52,20 +52,19 @@ class View:
 
     @cached_property
     def speed(self) -> np.ndarray:
-        """Change of position per second [time, joint], of a log of more than one row."""
+        """Change of position per second [time, joint]; needs at least two rows."""
         return np.gradient(self.position, self.time, axis=0)
 
     @cached_property
     def duty_gain(self) -> np.ndarray | None:
-        """Duty per angle [1/rad] of servos that close the loop themselves [time, joint]; None where it is unknown."""
+        """Duty per angle [1/rad] of servos that close the loop themselves [time, joint]; None if unknown."""
         gain = self.get(FIRMWARE_GAIN)
         law = None if self.make is None or self.make.loop != "firmware" else self.make.position_law
         return None if law is None or gain is None else gain * law.error_gain.si
 
     @property
     def drives(self) -> list[tuple[Key, np.ndarray, np.ndarray | None]]:
-        """Key, values [time, joint] and gain [time, joint] of the currents and duties in the log; None for an unknown
-        gain."""
+        """Key, values [time, joint] and gain [time, joint] of recorded currents and duties; an unknown gain is None."""
         gains = {CURRENT: self.get(P_GAIN), DUTY: self.duty_gain}
         return [(key, self.log.array(key), gain) for key, gain in gains.items() if key in self.log]
 
@@ -74,7 +73,7 @@ class View:
         """The robot in the metadata; None if there is none, or its file does not exist."""
         try:
             return self.log.named_robot if self.metadata.robot_file else None
-        except LogError:  # the check of the robot reports it
+        except LogError:  # the check of the robot reports this error
             return None
 
     @cached_property
@@ -88,7 +87,7 @@ class View:
         return stiffness
 
     def supply(self, joint: int | slice = slice(None)) -> float | None:
-        """Median voltage that a joint's servo or all servos measure, or the bench's supply [V]; None if unknown."""
+        """Median voltage measured by one joint's servo or all servos, or the bench's supply [V]; None if unknown."""
         volts, bench = self.get(VOLTAGE), self.metadata.mount == "pendulum"
         measured = 0.0 if volts is None else float(np.median(volts[:, joint]))
         return measured or (self.metadata.battery if bench else None)
@@ -114,8 +113,7 @@ class View:
 
     @cached_property
     def rates(self) -> Match | None:
-        """Match of velocities integrated over windows with the changes of position; None without velocities or for few
-        windows."""
+        """Match of velocities integrated over windows with position changes; None without velocities or few windows."""
         rate = self.get(VELOCITY)
         if rate is None or len(self.time) < 20 or not self.long:
             return None
@@ -126,13 +124,13 @@ class View:
         return max(1, round(period / self.interval)) if len(self.time) >= 20 else 1
 
     def thinned(self, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Positions, targets and whether joints are driven [row, joint], in rows with this period [s], and its number
-        of rows."""
+        """Positions, targets and whether joints are driven [row, joint], resampled to about this period [s], and the
+        number of original rows per new row."""
         stride = self.stride(period)
         return self.position[::stride], self.command[::stride], self.driven[::stride], stride
 
     def get(self, key: Key) -> np.ndarray | None:
-        """A channel [time, name], None where it is absent."""
+        """A channel [time, name]; None if absent."""
         return self.log.array(key) if key in self.log else None
 
     def steps(self, key: Key) -> np.ndarray:
@@ -154,8 +152,8 @@ class View:
     def found(
         self, where: Where, problem: str, remedy: str, *rows: SupportsInt, aside: bool = False, error: bool = False
     ) -> LogFinding:
-        """A finding in a column (name in the wide CSV, or channel and index), in one row or from one row to another,
-        counted from 0. `aside`: the column is excluded, which the remedy states; `error`: the log is refused."""
+        """A problem in a column (name in the wide CSV, or channel and index), in one row or a range of rows counted
+        from 0. With `aside` the column is excluded, as the remedy states; with `error` the log is refused."""
         remedy += "; until then the channel is not used" if aside else ""
         column = where if isinstance(where, str) else self.name(*where)
         first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
@@ -168,8 +166,8 @@ Find = Callable[[View], Found]
 
 
 class LogCheck(NamedTuple):
-    """A check. The docstring of its function is its line in the documentation. It runs if the log has the channels and
-    the number of rows that it needs, unless an earlier check named in `unless` has a finding."""
+    """A check, documented by the docstring of its function. It runs if the log has the required channels and number of
+    rows, unless an earlier check named in `unless` has reported a problem."""
 
     find: Find
     needs: tuple[Key, ...]
@@ -178,7 +176,7 @@ class LogCheck(NamedTuple):
 
 
 CHECKS: dict[str, LogCheck] = {}
-"""Every check by its name, in the order in which they are made."""
+"""Every check by name, in the order of execution."""
 
 
 def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[Find], Find]:
@@ -192,8 +190,8 @@ def check(name: str, *needs: Key, rows: int = 0, unless: str = "") -> Callable[[
 
 
 def examine(log: Rollout) -> tuple[LogFinding, ...]:
-    """Everything that the checks find in a log, errors first."""
-    with np.errstate(all="ignore"):  # what overflows is refused by its bound
+    """All problems that the checks report in a log, errors first."""
+    with np.errstate(all="ignore"):  # the bounds reject values that overflow
         found = [finding for episode in log.episodes() for finding in _findings(View(episode))]
     return tuple(sorted(found, key=lambda finding: finding.severity != ERROR))
 
@@ -206,11 +204,11 @@ def _findings(view: View) -> Found:
             continue
         for finding in one.find(view):
             if finding.column in aside:
-                continue  # why it is not used has been said
+                continue  # its exclusion has been reported
             if finding.set_aside:
                 aside.add(finding.column)
             wrong_clock |= finding.severity == ERROR and finding.column == "time"
             explained.add(name)
             yield replace(finding, check=name)
         if wrong_clock:
-            return  # rates and delays by a wrong clock say nothing
+            return  # rates and delays are meaningless with a wrong clock

@@ -1,4 +1,4 @@
-"""Checks of a column's values: those of another column or of a register, whole turns, single outliers."""
+"""Checks of a column's values: copies of another column, raw registers, whole turns, single outliers."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from op3.rollout.units import UNITS
 
 _LEAPS: dict[Key, float] = {POSITION: 0.06, COMMAND: 0.1, VELOCITY: 5.0, CURRENT: 5.0, VOLTAGE: 2.0, TEMPERATURE: 5.0}
 _LEAPS |= {RATE: 5.0, ORIENTATION: 0.2, FORCE: 100.0}
-"""Smallest jump of a single wrong reading, in the unit of its channel."""
+"""Smallest jump reported as a single wrong reading, in the unit of its channel."""
 
 _LOST: dict[Key, float] = {VELOCITY: 0.1, COMMAND: 0.1, ORIENTATION: 0.02, RATE: 0.1, FORCE: 1.0, POSITION: 0.02}
-"""Smallest value in the neighbouring rows of a missing reading, in the unit of its channel."""
+"""Smallest value beside a missing reading, in the unit of its channel."""
 
 TURN = 2 * np.pi
 
 
 def are_radians(values: np.ndarray) -> np.ndarray:
-    """Columns that are angles in rad; others are reported by the checks of units."""
+    """Columns with angles in rad; the checks of units report the others."""
     steps = np.abs(np.diff(values, axis=0))
     return (np.abs(values).max(0) < 50) & ((steps > 1).mean(0) < 0.05 if len(steps) else True)
 
 
 @check("lost turns", rows=2)
 def lost_turns(view: View) -> Found:
-    """A position or target jumps by whole turns: it was wrapped, or the encoder lost count."""
+    """A position or target jumps by whole turns: it was wrapped, or the encoder lost its count."""
     for key, name, values in ((POSITION, "position", view.position), (COMMAND, "target", view.command)):
         steps = np.diff(values, axis=0)
         turns = np.round(steps / TURN)
@@ -37,7 +37,7 @@ def lost_turns(view: View) -> Found:
             count = abs(int(turns[row, joint]))
             count = "one turn" if count == 1 else f"{count} turns"
             problem = f"{name} jumps by {count} ({steps[row, joint]:+.3f} rad) at row {row + 2}"
-            remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to shift its zero as well"
+            remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to shift the zero as well"
             yield view.found((key, joint), problem, remedy, row + 1, error=True)
 
 
@@ -50,11 +50,11 @@ def copied(view: View) -> Found:
         if first == index or np.ptp(column) <= 0.05 or len(np.unique(column)) <= 20:
             continue
         twins = np.array_equal(view.command[:, first], view.command[:, index])
-        if view.metadata.robot == "simulated" and twins:  # those of a simulation may move alike
+        if view.metadata.robot == "simulated" and twins:  # simulated joints may move identically
             continue
-        # a velocity is no copy where it is that of its position
+        # a velocity that matches its own position is not a copy
         wrong = [j for j in (index, first) if key == VELOCITY and delayed(view.speed[:, j], column, 0) <= 0.5]
-        error, aside, remedy = key == POSITION and not twins, key != POSITION, "check to which joint they belong"
+        error, aside, remedy = key == POSITION and not twins, key != POSITION, "check which joint the values belong to"
         for joint in wrong or [index]:
             problem = f"every value equals that of {view.name(key, first + index - joint)}"
             yield view.found((key, joint), problem, remedy, aside=aside, error=error)
@@ -67,7 +67,7 @@ def not_measured(view: View) -> Found:
     rounding = np.minimum(0.51 * view.steps(POSITION), np.pi / 1024)  # of an encoder
     late = [(np.abs(angle[n:] - target[: len(target) - n]) <= rounding * (n < 3)).all(0) for n in range(8)]
     same = np.any(late, axis=0) & (np.ptp(target, axis=0) > 0.05) & view.driven.any(0)
-    for joint in np.flatnonzero(same) if view.metadata.robot != "simulated" else ():  # which may follow exactly
+    for joint in np.flatnonzero(same) if view.metadata.robot != "simulated" else ():  # a simulation may follow exactly
         problem, remedy = "every value equals the command", "record the present position, not the goal"
         yield view.found((POSITION, joint), problem, remedy, aside=not same.all(), error=bool(same.all()))
 
@@ -81,12 +81,12 @@ def unsigned(view: View) -> Found:
             continue
         counts, angle = np.round(column / size), key == POSITION
         wrong: list[tuple[str, str, np.ndarray, bool]] = []
-        for bit, least in ((10, 1.0), (11, 1.0), (15, 0.2)):  # of loads and currents of small servos, and of all
+        for bit, least in ((10, 1.0), (11, 1.0), (15, 0.2)):  # loads and currents of small servos (first two), of all
             signed = counts >= 2**bit
             apart = np.where(signed, counts - 2**bit, counts).max() < least * 2 ** (bit - 1)
             if signed.any() and not signed.all() and apart and (bit == 15 or (not angle and column.min() >= 0)):
                 which = "the highest of 16 bits" if bit == 15 else f"bit {bit}"
-                problem = f"values from {column[signed].min():.6g} on carry their sign in {which}"
+                problem = f"values from {column[signed].min():.6g} on have their sign in {which}"
                 wrong.append((problem, "decode sign and magnitude separately", signed, angle and bit == 15))
         for bits in (16, 32):
             high = counts > 2**bits * 0.9
@@ -101,7 +101,7 @@ def unsigned(view: View) -> Found:
 
 
 def _counted(column: np.ndarray, si_unit: str) -> float:
-    """Size in SI units of the register unit in which the values are whole 16-bit counts; 0 if there is none."""
+    """Size in SI units of the register unit in which the values are 16-bit integers; 0 if there is none."""
     most = float(column.max())
     fits = (u for u in UNITS.get(si_unit, {}).values() if 2**15 * u < most < 2**16 * u)
     return next((u for u in fits if np.abs(column / u - np.round(column / u)).max() < 0.01), 0.0)
@@ -109,7 +109,7 @@ def _counted(column: np.ndarray, si_unit: str) -> float:
 
 @check("single readings")
 def spikes(view: View) -> Found:
-    """A reading jumps for one row and returns, or a target for up to three rows."""
+    """A reading jumps for one row, or a target for up to three rows, and then returns."""
     for key, index, column in view.columns(*_LEAPS):
         column, sent, angle = np.unwrap(column) if key == ORIENTATION else column, key == COMMAND, key == POSITION
         least = max(_LEAPS[key], 5 * view.interval * angle)
@@ -122,14 +122,14 @@ def spikes(view: View) -> Found:
         for rows in range(1, 2 + min(2, round(0.03 / view.interval) - 1)) if sent else (1,):
             there, back = column[1:-rows] - column[: -rows - 1], column[rows:-1] - column[rows + 1 :]
             size = np.minimum(np.abs(there), np.abs(back))
-            size *= np.abs(column[rows + 1 :] - column[: -rows - 1]) < 0.5 * size  # it comes back
-            if key == VELOCITY:  # a knock, which the position knows of
+            size *= np.abs(column[rows + 1 :] - column[: -rows - 1]) < 0.5 * size  # the value returns
+            if key == VELOCITY:  # a real impact also appears in the position
                 size *= np.abs(np.diff(view.position[:-1, index]) / np.diff(view.time[:-1])) < 0.5 * size
-            elif key == FORCE and (rate := view.get(RATE)) is not None:  # or the gyroscope
+            elif key == FORCE and (rate := view.get(RATE)) is not None:  # or in the gyroscope
                 turned = np.linalg.norm(rate[2:] - rate[:-2], axis=1)
                 size *= turned <= np.quantile(turned, 0.98)
             row = int(size.argmax()) + 1
-            often = sent and (size > 0.5 * size[row - 1]).sum() > 3  # the motion is so
+            often = sent and (size > 0.5 * size[row - 1]).sum() > 3  # jumps belong to the motion
             if size[row - 1] > least and not often:
                 what, where, aside = "a target" if sent else "a single reading", (key, index), not (sent or angle)
                 problem = f"{what} of {column[row]:.4g} lies between {column[row - 1]:.4g} and {column[row + rows]:.4g}"
@@ -139,10 +139,10 @@ def spikes(view: View) -> Found:
 
 @check("zeros", rows=20)
 def zeros(view: View) -> Found:
-    """All axes of the trunk's sensor, all joints, or a velocity are 0 in single rows, because nothing was read there;
-    or a target is 0, because none was sent."""
+    """All axes of a trunk sensor, all joints, or a velocity are 0 in single rows because nothing was read; or a target
+    is 0 because none was sent."""
     for key in (key for key in _LOST if key in view.log):
-        values, alone = view.log.array(key), key in (VELOCITY, COMMAND)  # of each joint, while it keeps its direction
+        values, alone = view.log.array(key), key in (VELOCITY, COMMAND)  # for each joint in constant direction
         for index, part in enumerate(values.T[:, :, None] if alone else [values] if values.shape[1] > 1 else []):
             steps, away, most = view.steps(key), np.abs(part).max(1), 1 if alone else 10
             least = max(_LOST[key], 15 * float(steps[index] if alone else steps.max()))
@@ -150,9 +150,9 @@ def zeros(view: View) -> Found:
             lost = [(a, b) for a, b in inside if min(away[a - 1], away[b]) > least]
             lost = [(a, b) for a, b in lost if not alone or part[a - 1, 0] * part[b, 0] > 0]
             rows = sum(b - a for a, b in lost)
-            problem = f"all its values are 0 in {rows} rows but not next to them: nothing was read there"
+            problem = f"all its values are 0 in {rows} rows but not in neighbouring rows: nothing was read there"
             if alone:
-                problem = f"it is 0 in {rows} single rows but not next to them: nothing was read or sent there"
+                problem = f"it is 0 in {rows} single rows but not in neighbouring rows: nothing was read or sent there"
             for column in range(1 if key == POSITION else len(part[0])) if rows > 2 * alone else ():
                 where, aside = (key, index + column), key == VELOCITY
                 yield view.found(where, problem, "remove these rows", lost[0][0], lost[0][1] - 1, aside=aside)

@@ -12,12 +12,12 @@ from op3.rollout.match import OVERLAP, fitted
 from op3.rollout.units import likely_unit, plausible_unit
 
 _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12), "battery": ("V", 2.0, 60.0, 11.0)}
-"""Unit, smallest, largest and typical value of the metadata of a bench."""
+"""Unit, smallest, largest and typical value of a bench's metadata."""
 
-_CHARGE = (0.7, 1.3)  # voltage over that of the battery: cells of 3.7 V give 3.0 to 4.2 V, and cables take some of it
-_FULL = 1.35  # supplies exceed a servo's limits at most by so much: full batteries, small servos run hard (1.22)
-_HOTTEST = 95.0  # no servo works at such a temperature [C]: the files of makes let none get hotter
-_WEIGHS = (0.7, 4.0)  # what a servo pushes with over what its pendulum weighs: 0.86 to 2.7 in 108 recordings
+_CHARGE = (0.7, 1.3)  # plausible voltage relative to the battery's: cells of 3.7 V give 3.0 to 4.2 V, less cable losses
+_FULL = 1.35  # largest ratio of supply to a servo's limit: full batteries, overdriven small servos (1.22)
+_HOTTEST = 95.0  # highest plausible temperature [C]: no servo file allows more
+_WEIGHS = (0.7, 4.0)  # plausible ratio of servo torque to pendulum weight: 0.86 to 2.7 in 108 recordings
 
 
 @check("plausible metadata")
@@ -41,12 +41,12 @@ def plausible(view: View) -> Found:
 
 @check("spelling of joints")
 def spelling(view: View) -> Found:
-    """Two joint names differ in capital letters only: probably one joint."""
+    """Two joint names differ only in capital letters and probably mean the same joint."""
     first: dict[str, str] = {}
     for joint in view.joints:
         if (other := first.setdefault(joint.lower(), joint)) != joint:
-            problem = f"{other} and {joint} differ in capital letters only"
-            yield view.found("field joints", problem, "give them one name if they are one joint")
+            problem = f"{other} and {joint} differ only in capital letters"
+            yield view.found("field joints", problem, "use one name if they are the same joint")
 
 
 @check("wrong robot")
@@ -56,7 +56,7 @@ def robot(view: View) -> Found:
         return
     try:
         known = view.log.named_robot
-    except LogError as error:  # the log can be read all the same; who needs its robot refuses it
+    except LogError as error:  # the log can still be read; commands that need its robot reject it
         yield view.found("field robot_file", error.problem, error.remedy)
         return
     for odd in [joint for joint in view.joints if joint not in known.joints][:1]:
@@ -66,14 +66,13 @@ def robot(view: View) -> Found:
 
 @check("unknown servo")
 def servo(view: View) -> Found:
-    """The servo in the metadata has no file, so that its law and units are unknown, or it is not one of the robot's
-    servos."""
+    """The servo in the metadata has no file, so its law and units are unknown, or the robot has other servos."""
     if (name := view.metadata.servo) is None:
         return
     makes = {make.name for make in view.log.servos if make is not None} if view.metadata.robot_file else set()
     if view.make is None:
         known = {alias: make for make in servo_files() for alias in (make, *load_servo(make).aliases)}
-        there = f"known servos: {', '.join(servo_files())}; a new one is one file in assets/servos"
+        there = f"known servos: {', '.join(servo_files())}; a new servo needs one file in assets/servos"
         remedy = rename(name, known, there)
         yield view.found("field servo", f"there is no servo {name!r}", remedy)
     elif makes and view.make.name not in makes:
@@ -83,7 +82,7 @@ def servo(view: View) -> Found:
 
 @check("weight of the pendulum", rows=100, unless="two clocks")
 def weight(view: View) -> Found:
-    """The servo's torque is far from the weight of its pendulum: mass, length, gain or supply are wrong."""
+    """The servo's torque does not match the weight of its pendulum: mass, length, gain or supply is wrong."""
     about, make, gain = view.metadata, view.make, view.duty_gain
     if about.mount != "pendulum" or make is None or gain is None:
         return
@@ -94,13 +93,13 @@ def weight(view: View) -> Found:
     mean = view.summed(np.stack([torque, np.sin(angle), speed, np.tanh(speed / 0.2)], axis=1))[used] / span
     if len(mean) < 10 * OVERLAP:
         return
-    # what it weighs goes with the angle, damping with the speed, friction with its direction, and inertia
+    # the weight depends on the angle, damping on the speed, friction on its direction, and inertia
     causes = np.column_stack([mean[:, 1:], view.turned(speed)[used]])
     pushed = float(fitted(causes, mean[:, 0])[0]) / (9.81 * (about.mass or 0.0) * (about.length or 0.0))
     if np.ptp(mean[:, 1]) > 0.3 and not _WEIGHS[0] < pushed < _WEIGHS[1]:
         problem = f"the servo's torque is {pushed:.2g} times the weight of {about.mass:g} kg at {about.length:g} m, by "
         gain, volts = np.median(view.log.array(FIRMWARE_GAIN)), view.supply() or make.supply.si
-        problem += f"its gain of {gain:g} at {volts:g} V"
+        problem += f"a gain of {gain:g} at {volts:g} V"
         yield view.found("field mass", problem, "check mass, length, firmware_gain, battery and servo")
 
 
@@ -108,7 +107,7 @@ def weight(view: View) -> Found:
 def few(view: View) -> Found:
     """There are too few rows for most checks."""
     if len(view.time) < 20:
-        yield view.found("time", f"{len(view.time)} rows are too few to be checked", "record for longer")
+        yield view.found("time", f"{len(view.time)} rows are too few for the checks", "record a longer log")
 
 
 @check("gains")
@@ -118,12 +117,12 @@ def gains(view: View) -> Found:
         column, said = view.get(("command", name)), getattr(view.metadata, name)
         if column is None or said is None or (np.abs(column - said) <= 1e-6 * max(1.0, said)).any():
             continue
-        problem = f"{name} is {said:g} in the metadata and {column[0, 0]:g} in the column"
-        remedy = "correct one of them; without the column, the metadata apply to every row"
+        problem = f"{name} is {said:g} in the metadata but {column[0, 0]:g} in the column"
+        remedy = "correct one of them, or remove the column to use the metadata for every row"
         yield view.found((("command", name), 0), problem, remedy, 0, error=True)
     p, d = (0.0 if (gain := view.get(key)) is None else np.median(gain) for key in (P_GAIN, D_GAIN))
     if 0 < p < d:
-        problem = f"the D gains (median {d:g} A s/rad) are above the P gains ({p:g} A/rad): a joint would take over a "
+        problem = f"the D gains (median {d:g} A s/rad) are above the P gains ({p:g} A/rad): a joint would need over a "
         problem += "second to follow; the columns may be swapped"
         yield view.found((P_GAIN, 0), problem, "swap the columns, or convert the gains to SI")
 
@@ -136,11 +135,11 @@ def supply(view: View) -> Found:
     for make in makes.values() if len(makes) == 1 else ():
         read, low, high = view.supply() or 0.0, make.limits.low_voltage.si, make.limits.high_voltage.si
         if 1 < read < 60 and not low / _FULL < read < high * _FULL:
-            problem = f"the supply is {read:.3g} V, but the file of the {make.name} is valid from {low:g} to "
-            problem += f"{high:g} V: it is another variant of the {make.name}, with another motor and gear"
-            remedy = f"write its own make or file under `servo:`; the constants of {make.name} are wrong for it"
+            problem = f"the supply is {read:.3g} V, but the servo file {make.name} is valid from {low:g} to "
+            problem += f"{high:g} V: this must be another variant of the {make.name} with another motor and gear"
+            remedy = f"write the variant's name or file under `servo:`; the constants of {make.name} do not apply to it"
             yield view.found("field servo", problem, remedy)
-    if any(servos) and view.metadata.mount != "pendulum":  # a small servo has a converter of its own
+    if any(servos) and view.metadata.mount != "pendulum":  # a small servo has a separate converter
         known = view.log.named_robot
         shares = dict(zip(known.joints, known.supply_shares.tolist(), strict=True))
     for key, joint, column in view.columns(VOLTAGE):
@@ -149,12 +148,12 @@ def supply(view: View) -> Found:
             problem = f"the median voltage {median:.4g} V does not fit the battery of {full:.3g} V"
             yield view.found((key, joint), problem, "convert it to volts, or correct `battery`", aside=True)
         if median > 1 and (gone := column < 0.3 * median).any():
-            problem = f"{gone.sum()} rows read {column[gone].min():.3g} V, at which no servo answers"
+            problem = f"{gone.sum()} rows contain {column[gone].min():.3g} V, at which no servo can answer"
             yield view.found((key, joint), problem, "remove these rows", gone.argmax(), aside=True)
     for key, joint, column in view.columns(TEMPERATURE):
         median, make = float(np.median(column)), servos[joint]
         hottest, celsius = _HOTTEST if make is None else make.limits.temperature.si, (median - 32) / 1.8
-        if not -10 <= median <= hottest and median <= 150:  # beyond it its bound speaks
+        if not -10 <= median <= hottest and median <= 150:  # beyond 150 the bound reports it
             unit = f", but {median:.4g} F would be {celsius:.3g} C" if -10 <= celsius <= hottest else ""
             problem = f"the median temperature {median:.4g} C is impossible for a working servo{unit}"
             yield view.found((key, joint), problem, "convert it to degrees Celsius", aside=True)

@@ -12,17 +12,17 @@ from op3.rollout.match import GIVES, SURE, delays, fitted, integral, longest_run
 from op3.rollout.metadata import HOLDING
 from op3.rollout.schema import CHANNELS
 
-_SHAKEN = 0.1  # accelerations of a trunk that is held spread by no more [m/s2]; 0.08 in 179 logs, and 0.44 on the feet
-_SETTLES = 0.5  # a servo has reached a target that stands [s]
-_REPAIR = "repair what reads or writes it"
-_PERIOD = 0.02  # time from row to row in which motions are looked at [s]
-_UNRELATED = 0.5  # no correlation with its command at the best delay is below: 0.57 in 3,400 joints of sound logs
-_LETS_GO = 0.14  # shortest time for which a joint that lets go is reported [s]
-_RECENT = (0.12, 0.25)  # a joint that follows, quick or slow, is between its least and largest target of that [s]
-_PUSHES = 0.3  # a servo that gives so much of its usual current has not let go, but friction or an obstacle holds it
+_SHAKEN = 0.1  # largest spread of a held trunk's accelerations [m/s2]; 0.08 in 179 logs, 0.44 when standing
+_SETTLES = 0.5  # time in which a servo reaches a constant target [s]
+_REPAIR = "repair the program that reads or writes it"
+_PERIOD = 0.02  # row interval at which motions are examined [s]
+_UNRELATED = 0.5  # reported correlation with the command at the best delay; at least 0.57 in 3,400 joints of sound logs
+_LETS_GO = 0.14  # shortest reported loss of torque [s]
+_RECENT = (0.12, 0.25)  # a fast or slow joint that follows stays within the targets of this last time [s]
+_PUSHES = 0.3  # a servo with this share of its usual current still drives; friction or an obstacle holds it
 
 _FAR, _TIMES = 0.1, 3.0  # a joint that lets go is so far beyond these [rad], and so many times as far as otherwise
-_CARRIED = 2.5  # if its range of motion on the way there is so many times that distance, it only yields to its load
+_CARRIED = 2.5  # if its range of motion is this many times that distance, the joint only yields to its load
 _WITHIN, _PULLS, _SPEEDS = 0.1, 0.15, 0.25  # a driven joint comes nearer by so much of it, or of its fastest, in [s]
 
 _RELATED = "position against command, two clocks"
@@ -40,26 +40,26 @@ def saturated(view: View) -> Found:
         if top < 3 * size or not top or not max(0.002, 3 / len(flat)) < within.mean() < 0.6:
             continue
         last, faster, leaps = first + length - 1, 0.0, np.abs(np.diff(column))
-        if key == VELOCITY and len(runs(within)) > 1:  # one stretch is a channel that stood
+        if key == VELOCITY and len(runs(within)) > 1:  # a single period is a constant channel
             count = view.steps(POSITION)[index] / (2 * view.interval * np.sqrt(within.sum()))
             faster = float(np.abs(view.speed[1:-1, index][within]).mean() - count)
-        aside = faster > 1.15 * top + size  # less may be a scale
+        aside = faster > 1.15 * top + size  # a smaller excess may be a scale error
         beside = min((leaps[row] for row in (first - 1, last) if 0 <= row < len(leaps)), default=0.0)
         if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
-            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "which it reaches and leaves fast"
+            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "which it reaches and leaves quickly"
             problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is clipped"
-            remedy = "choose a larger range of the sensor, or slower motions"
+            remedy = "set a larger sensor range, or record slower motions"
             yield view.found((key, index), problem, remedy, first, last, aside=aside)
 
 
 @check("stuck value", rows=21)
 def stands_still(view: View) -> Found:
-    """A channel keeps one value while the joint moves, or a position while its command changes."""
+    """A channel is constant while the joint moves, or a position is constant while its command changes."""
     rows = max(1, round(0.2 / view.interval))
     yield from _sensors_stand(view, rows)
     for joint, (first, last, moved) in commands_stop(view).items():
-        problem = f"the target does not change for {last - first} rows, while the joint moves on by {moved:.3g} rad"
-        remedy = "record the targets that were sent, or cut the log here; check whether torque was off"
+        problem = f"the target does not change for {last - first} rows, while the joint moves by {moved:.3g} rad"
+        remedy = "record the sent targets, or cut the log here, and check whether torque was off"
         yield view.found((COMMAND, joint), problem, remedy, first, last)
     for _, joint, velocity in view.columns(VELOCITY):
         yield from _velocity_stands(view, joint, velocity, rows)
@@ -67,15 +67,15 @@ def stands_still(view: View) -> Found:
         yield from _position_stands(view, joint, position)
         if np.ptp(target) == 0 and view.driven[:, joint].all() and (moved := np.ptp(position)) > GIVES:
             problem = f"target stays at {target[0]:.4g} rad in every row while the joint moves by {moved:.3g} rad"
-            remedy = "record the targets that were sent, or `torque_enable: 0` where the joint was moved by hand"
+            remedy = "record the sent targets, or `torque_enable: 0` while the joint was moved by hand"
             yield view.found((COMMAND, joint), problem, remedy)
         if off.sum() * view.interval > 1 and _follows(target[off], position[off], view.stride(0.05)):
-            problem = "the joint follows its target while the log says that its torque is off"
+            problem = "the joint follows its target although its torque is off according to the log"
             yield view.found((COMMAND, joint), problem, "correct torque_enable")
 
 
 def _follows(target: np.ndarray, angle: np.ndarray, late: int) -> bool:
-    """Whether a joint follows its target with this delay in rows; targets may instead follow a joint led by hand."""
+    """Whether a joint follows its target with this delay in rows, rather than the target a joint moved by hand."""
     if len(target) < 10 * late or min(np.ptp(target), np.ptp(angle)) < 0.2:
         return False
     after, before = delays(angle, target, (late, -late))
@@ -90,7 +90,7 @@ def commands_stop(view: View) -> dict[int, tuple[int, int, float]]:
         last, off = first + length, np.abs(view.error[:, joint])
         moved = float(np.ptp(view.position[first + settles : last + 1, joint])) if length >= 2 * settles else 0.0
         goes_on = length > 3 * settles and moved > 0.5 * asked[joint]
-        # the next target that it gets is where it is
+        # the next target is the joint's position
         resumes = last + 1 < len(off) and off[last] > 4 * max(off[[first, last + 1]])
         if moved > 0.1 and (goes_on or resumes) and view.driven[first : last + 1, joint].all():
             found[joint] = first, last, moved
@@ -105,7 +105,7 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
     angle, time = view.position[part, joint], view.time[part]
     speed = (angle[rows:] - angle[:-rows]) / (time[rows:] - time[:-rows])
     fastest = speed[np.abs(speed - velocity[first]).argmax()]
-    # a velocity may rightly keep a number while the joint is slower than its step
+    # a velocity may be constant while the joint is slower than one step of it
     if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
         problem = f"velocity stays at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
         problem += f"{fastest:.3g} rad/s"
@@ -118,11 +118,11 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     if length * view.interval <= 0.5:
         return
     rows, rates, half = slice(first, last + 1), view.get(VELOCITY), view.stride(0.5)
-    # how far, not how much: a soft joint rightly stands while a policy dithers about it; and time to act on it
+    # distance, not total movement: a soft joint may stand while a policy's targets oscillate around it
     heeded = slice(first, max(last - round(0.2 / view.interval), first) + 1)
     asked = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
     rate = np.zeros(length + 1) if rates is None else rates[rows, joint]
-    rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # its bound speaks
+    rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # the bound reports these
     turned = integral(view.time[rows], rate)
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
     moves = asked > 0.4 or (asked > 0.1 and _follows_elsewhere(view, joint, rows, asked, dead))
@@ -135,8 +135,8 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
 
 
 def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead: bool) -> bool:
-    """Whether the command of a joint that stood moved by far more than the joint's errors at similar commands, within
-    which a weak servo may stick. If the joint stands throughout, the errors of the other joints are used."""
+    """Whether the command of a standing joint moved much further than the joint's errors at similar commands, within
+    which a weak servo may stick. If the joint never moves, the errors of the other joints are used."""
     moving = np.ones(len(view.time), bool)
     moving[stands] = dead
     joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
@@ -146,8 +146,8 @@ def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead
 
 
 def _sensors_stand(view: View, rows: int) -> Found:
-    """Sensors with one impossible constant value throughout, and currents and inertial sensors whose values stay
-    constant for far longer than elsewhere while a joint moves."""
+    """A sensor has the same implausible value in every row, or the values of a current or inertial sensor are constant
+    for much longer than elsewhere while a joint moves."""
     gyroscope, angles = turned_by_gyroscope(view), view.get(ORIENTATION)
     tilted = angles is not None and bool((np.ptp(angles, axis=0) > 0.1).any())
     turns = bool((np.ptp(gyroscope, axis=0) > 0.05).any()) and not held(view)
@@ -157,12 +157,12 @@ def _sensors_stand(view: View, rows: int) -> Found:
             same, zero = (np.diff(part, axis=0) == 0).all(1), not part[0].any()
             first, length = longest_run(same)
             run = slice(first, first + length + 1)
-            # of turning only what goes to and fro counts, as a gyroscope has a zero of its own
+            # only alternating rotation counts, because a gyroscope has a bias
             through = view.position if trunk else view.position[:, [index]]
             path = detrend(gyroscope[run], axis=0) if key == ORIENTATION else through[run]
             moved = np.ptp(path, axis=0).max() > (0.05 if key == ORIENTATION else 0.2)
             driven, most = view.driven[run, index].any(), np.abs(part).max()
-            if length == len(same):  # a robot that does not turn has no rates, and keeps its orientation
+            if length == len(same):  # a robot that does not rotate has no rates and a constant orientation
                 dead = {CURRENT: moved and driven, ORIENTATION: turns, RATE: tilted, FORCE: zero or tilted}
                 problem, when, stuck = f"{name} stays at {{:.4g}} in every row", (), dead.get(key, zero)
             else:
@@ -170,14 +170,14 @@ def _sensors_stand(view: View, rows: int) -> Found:
                 limited = key == CURRENT and (size == most or (size == 0 and not driven))
                 longer = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
                 stuck = length > 2 * rows and moved and not limited and longer and key not in (VOLTAGE, TEMPERATURE)
-                problem = f"{name} keeps the same values for {length} rows, while the robot moves"
+                problem = f"the values of {name} are constant for {length} rows while the robot moves"
                 when = first, first + length
             for column, value in enumerate(part[0]) if stuck else ():
                 yield view.found((key, index + column), problem.format(value), _REPAIR, *when, aside=True)
 
 
 def held(view: View) -> bool:
-    """Whether the accelerometer is so still that the trunk is held, and rotates no more than its orientation."""
+    """Whether a quiet accelerometer shows a held trunk, which rotates no more than its orientation states."""
     force = view.get(FORCE)
     return force is not None and 0 < float(force.std(0).max()) < _SHAKEN
 
@@ -188,15 +188,15 @@ def turned_by_gyroscope(view: View) -> np.ndarray:
         return np.zeros((len(view.time), 3))
     rates = view.log.array(RATE).copy()
     rates[1:-1] = np.median([rates[:-2], rates[1:-1], rates[2:]], axis=0)
-    # the bias is the median: the mean of a robot that falls in the end is its fall
+    # the bias is the median, because a final fall would dominate the mean
     return integral(view.time, rates - np.median(rates, axis=0))
 
 
 @check("torque lost", rows=50, unless=f"{_RELATED}, time jumps, stale readings")
 def lets_go(view: View) -> Found:
-    """For a while a joint has no current although its error requires one; or, without a measured current, it stays far
+    """For some time a joint has no current although its error requires one, or, if no current was measured, stays far
     beyond its recent targets. The latter is not reported within 0.1 rad of these targets, if other joints are displaced
-    too, or for a single servo, which friction may hold."""
+    too, or for a single servo, because friction may hold it."""
     if view.metadata.fallen:
         return
     reported = {*commands_stop(view)}
@@ -210,15 +210,14 @@ def lets_go(view: View) -> Found:
             for first, last in _without(given, wanted, on, view.interval):
                 reported.add(joint)
                 worst = first + int(np.abs(wanted[first : last + 1]).argmax())
-                problem = f"{key[1]} is {given[worst] + 0.0:.2g} where its control law gives {wanted[worst]:.2g}, for "
+                problem = f"{key[1]} is {given[worst] + 0.0:.2g} but its control law requires {wanted[worst]:.2g}, for "
                 problem += f"{view.time[last] - view.time[first]:.2g} s: the servo had no torque"
                 yield view.found((POSITION, joint), problem, _LEAVE, first, last)
     yield from _astray(view, reported)
 
 
 def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval: float) -> list[tuple[int, int]]:
-    """First and last rows of periods without current although the control law requires it, if there is current at other
-    times."""
+    """First and last rows of periods without the current that the control law requires, if it flows at other times."""
     size = np.abs(wanted)
     if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
         return []
@@ -235,14 +234,14 @@ def _astray(view: View, reported: set[int]) -> Found:
     angle, target, driven, stride = view.thinned(_PERIOD)
     period = stride * view.interval
     if len(angle) < 50 or period > 2 * _PERIOD or len(view.joints) == 1:
-        return  # friction holds a lone servo with a low gain as far, and no other joint says that it should go on
+        return  # friction holds a single servo with a low gain as far away, and no other joint allows a comparison
     most_shaken = len(view.joints) / 2 if view.metadata.mount in HOLDING else 1
     for recent in _RECENT:
         past = max(1, round(recent / period))
-        before = {"size": past + 1, "axis": 0, "mode": "nearest", "origin": past // 2}  # a row, and so many before it
+        before = {"size": past + 1, "axis": 0, "mode": "nearest", "origin": past // 2}  # a row and the rows before it
         least, most = minimum_filter1d(target, **before), maximum_filter1d(target, **before)
         switched = minimum_filter1d(driven.astype(np.int8), **before) == 1
-        # another zero is another check's
+        # another check reports a wrong zero
         mean = angle - np.nanmedian(np.where(switched | ~switched.any(0), angle - target, np.nan), axis=0)
         off = np.where(switched, mean - np.clip(mean, least, most), 0.0)
         for joint in (j for j in range(len(view.joints)) if j not in reported):
@@ -252,9 +251,9 @@ def _astray(view: View, reported: set[int]) -> Found:
                 holds = any(np.median(size[first:end]) > _PUSHES * np.median(size) for size in given)
                 shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken
                 if holds or shaken:
-                    continue  # a push, or on its feet the weight
+                    continue  # a push, or the robot's weight when it stands
                 reported.add(joint)
-                more = f", and {len(found) - 1} times more," if len(found) > 1 else ""
+                more = f", and again {len(found) - 1} times," if len(found) > 1 else ""
                 problem = f"for {(end - first) * period:.2g} s{more} the joint stays {far:.2g} rad beyond all its "
                 problem += f"targets of the last {recent} s, at other times {usual:.2g} rad: "
                 problem += "its torque was off, or it was blocked"
@@ -264,14 +263,14 @@ def _astray(view: View, reported: set[int]) -> Found:
 
 def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: float, past: int) -> tuple[list, float]:
     """Periods in which a joint is much further from its target than at other times, `off` [row], and is not pulled
-    back: first row, row after the last one, and distance; and its usual distance."""
+    back: first row, end row and distance; and its usual distance."""
     ahead, rows = (max(2, round(time / period)) for time in (_WITHIN, _LETS_GO))
     moved = angle[ahead:] - angle[:-ahead]
     back = -np.sign(off[: len(moved)]) * moved
     windows, nearer = (np.lib.stride_tricks.sliding_window_view(x, rows) for x in (off[: len(moved)], back))
     least = np.minimum(_PULLS * np.abs(windows).mean(1), _SPEEDS * np.quantile(np.abs(moved), 0.98))
     stays = np.where(nearer.mean(1) < least, np.maximum(windows.min(1), -windows.max(1)), 0.0)
-    # a target that passes by a joint that hangs, and the way back, belong to it
+    # includes targets that pass a hanging joint, and the return
     near, rest, found = maximum_filter1d(np.abs(off), 2 * past + 1), driven.copy(), []
     for first, end in runs(near > max(float(stays.max()), _FAR) / 6).tolist():
         if stays[first:end].max(initial=0.0) > _FAR:
@@ -284,13 +283,13 @@ def _let_go(angle: np.ndarray, off: np.ndarray, driven: np.ndarray, period: floa
 @check("position without its command", unless=f"{_RELATED}, lost turns, stuck value, torque lost")
 def unrelated(view: View) -> Found:
     """A position does not follow its command at any delay: it belongs to another joint or recording, or the command is
-    a torque. Not checked on the floor, where the weight moves soft joints against their commands."""
+    a torque. This is not checked on the floor, where the robot's weight moves soft joints against their commands."""
     if view.metadata.mount not in HOLDING:
         return
     angle, target, driven, stride = view.thinned(_PERIOD)
     pulled, lost, torques, asked = np.zeros(len(view.joints), bool), dict[int, float](), set[int](), 0
     for key, values, gain in view.drives:
-        if key == CURRENT and gain is not None:  # a soft joint that yields, and pulls by as much
+        if key == CURRENT and gain is not None:  # a soft joint that yields with a matching current
             pulled = match(values, -gain * view.error).own > SURE
     for joint, on in enumerate(driven.T):
         a, t = angle[on, joint], target[on, joint]
@@ -304,15 +303,15 @@ def unrelated(view: View) -> Found:
     for joint, best in lost.items():
         where = (COMMAND if joint in torques and 2 * len(torques) > asked else POSITION), joint
         problem = f"the position does not follow its command (correlation {best:.2f})"
-        remedy = "check whether both belong to this joint and to one recording"
+        remedy = "check whether both belong to this joint and to the same recording"
         if error := where[0] == COMMAND:
-            problem += ", which depends on acceleration, speed and gravity as a torque does"
+            problem += ", and the command depends on acceleration, speed and gravity like a torque"
             remedy = "name the command <joint>.load under `columns:`, and record position targets"
         yield view.found(where, problem, remedy, error=error)
 
 
 def _is_torque(angle: np.ndarray, command: np.ndarray, period: float) -> bool:
-    """Whether a command can be the torque that drives the motion; a motion at a single frequency cannot show this."""
+    """Whether the command can be the torque that drives the motion; not decidable from motion at a single frequency."""
     width = max(1, round(0.06 / period))
     speed = np.gradient(np.convolve(angle, np.ones(width) / width, "same"), period)
     ones, inside = np.ones(len(angle)), slice(2 * width, -2 * width)

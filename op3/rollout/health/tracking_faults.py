@@ -12,16 +12,16 @@ from op3.rollout.match import SURE, delays, match
 from op3.rollout.metadata import HOLDING
 from op3.rollout.units import UNITS, likely_unit
 
-_MORE, _MOST = 1.4, 1.9  # a servo moves less than so many times as far as its command: 1.18 in 3,400 sound joints
-_SOFT = 0.3  # servos that follow their commands at all move so far, in parts of it: the softest of a bench
-_PERIOD = 0.02  # time from row to row in which motions are looked at [s]
+_MORE, _MOST = 1.4, 1.9  # suspicious and impossible ratio of motion to command; at most 1.18 in 3,400 sound joints
+_SOFT = 0.3  # smallest ratio of motion to command of a servo that follows: the softest servo on a bench
+_PERIOD = 0.02  # row interval at which motions are examined [s]
 _SIGNS = "write `sign: -1` under `columns:` in the YAML for its position and velocity, or for its target"
 _GEAR = "check the resolution and the gear ratio of the conversion"
 
 
 def exchanged(view: View) -> dict[int, int]:
-    """Joints that follow each other's commands in a cycle, and whose command each follows. All others follow their own;
-    between equal commands the assignment does not matter."""
+    """Joints that follow each other's commands in a cycle, and the joint whose command each follows. All others follow
+    their own command; between equal commands the assignment does not matter."""
     rows = np.flatnonzero(view.driven.all(1))
     rows = rows[:: 1 + len(rows) // 1000]
     if len(rows) < 20:
@@ -39,7 +39,7 @@ def exchanged(view: View) -> dict[int, int]:
 @check("position against command")
 def command(view: View) -> Found:
     """Position and command differ in unit or sign, belong to different joints, or the command is relative."""
-    circles, wrong = exchanged(view), not view.metadata.fallen  # limbs of a robot that falls are flung about
+    circles, wrong = exchanged(view), not view.metadata.fallen  # limbs of a falling robot move freely
     for joint, other in circles.items():
         which = "of the two" if circles.get(other) == joint else "of several joints"
         problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
@@ -54,14 +54,14 @@ def command(view: View) -> Found:
     own, best, least = np.diagonal(every, axis1=1, axis2=2), every.max(0), every.min(0)
     itself, signed = np.diagonal(best), np.where(best >= -least, best, least)
     moved, asked = np.array([np.ptp(table[driven], axis=0) for table in (angle, target)])
-    # whose command explains a position much better than its own; where columns were exchanged, that joint has such a
-    # one as well
+    # the joint whose command explains a position much better than the own command; if columns were exchanged, that
+    # joint has such a partner as well
     foreign = np.where((asked > 0.05) & ~np.eye(len(best), dtype=bool), np.abs(signed), -1.0)
     leader, strength = foreign.argmax(1), foreign.max(1)
     follows = (strength > SURE) & (itself < 0.95) & (1 - strength < 0.2 * (1 - itself))
-    # one that is shaken by another's motion is no swap: that other follows its own command, or a third one's
+    # a joint shaken by another is not a swap: the other joint follows its own command or a third joint's command
     _, circle = connected_components(np.eye(len(best))[leader] * follows[:, None], connection="strong")
-    # or the other stands, and this one moves: what is only shaken in step with a command moves by less
+    # or the other joint stands and this one moves: a joint that is only shaken moves less
     alone = (asked <= 0.05) & (moved < 0.5 * asked)[leader] & (moved > 0.5 * asked[leader])
     swapped = follows & ((np.bincount(circle)[circle] > 1) | alone)
     steps = [match(angle[n:] - angle[:-n], target[:-n]) for n in lags if n and driven.all()]
@@ -72,11 +72,11 @@ def command(view: View) -> Found:
         problem = "the command is a relative movement, not a target position"
         yield view.found((COMMAND, joint), problem, "record the position plus the command as the target", error=wrong)
     ahead, columns = range(min(51, len(angle) // 4)), (angle.T, target.T, own.min(0))
-    # whether a command that comes after it explains a position better than its mirror image
+    # whether a later command explains a position better than the mirrored command
     late = [low < -0.7 and delays(t, a, ahead).max() > -low for a, t, low in zip(*columns, strict=True)]
-    # of a motion that does not follow well; on the feet of a robot the weight may turn soft joints so
+    # for a motion with poor tracking; the weight of a standing robot may move soft joints this way
     against = (moved > 0.05) & (own[0] < -0.7) & (own[:6].max(0) < -0.3) & (view.metadata.mount in HOLDING)
-    explained = {*circles, *np.flatnonzero(relative)}  # what else there is to say follows from that
+    explained = {*circles, *np.flatnonzero(relative)}  # further problems follow from that one
     for joint in (int(j) for j in np.flatnonzero((asked > 0.05) | (moved > 0.05)) if j not in explained):
         sure, ratio = float(itself[joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         other, error = view.joints[leader[joint]] if swapped[joint] else None, wrong
@@ -89,10 +89,10 @@ def command(view: View) -> Found:
         elif moves and sure > 0.97 and ratio > _MORE:
             problem, remedy, error = f"the position moves {ratio:.3g} times as far as its command", _GEAR, False
         elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late[joint]:
-            problem, remedy = "the position moves against its command: one of the two signs is reversed", _SIGNS
+            problem, remedy = "the position moves opposite to its command: one of the two signs is reversed", _SIGNS
             problem += f", or its column was swapped with that of {other}" if other else ""
         elif moves and against[joint] and not late[joint]:
-            problem, remedy = f"the position moves against its command (correlation {own[0, joint]:.2f})", _SIGNS
+            problem, remedy = f"the position moves opposite to its command (correlation {own[0, joint]:.2f})", _SIGNS
             error = False
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped{turns}"
@@ -103,10 +103,10 @@ def command(view: View) -> Found:
 
 
 def _unit(view: View, joint: int, ratio: float) -> str | None:
-    """Whether a position or its command is in another unit, in words; None where no unit or more than one fits.
+    """Text stating that a position or its command is in another unit; None if no unit or several units fit.
 
-    A soft servo moves less than its command, but its velocity and the steps of its encoder show how far. The
-    position moves `ratio` times as far as its command.
+    A soft servo moves less than its command, but its velocity and encoder steps show the true distance. The position
+    moves `ratio` times as far as its command.
     """
     sizes = [(who, unit, size) for who in ("it", "the command") for unit, size in UNITS["rad"].items()]
     causes = [c for c in sizes if _SOFT < (ratio * c[2] if c[0] == "it" else ratio / c[2]) < _MORE]

@@ -1,4 +1,4 @@
-"""Readers of log formats: one module each, and entry points of other packages."""
+"""Readers of log formats: one module per format, and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from op3.rollout.readers.reader import Reader
 
 _OURS = {
     "folder": "folder:Folder",
-    "sage": "sage:Sage",  # before CSV, of which its parts are
+    "sage": "sage:Sage",  # before CSV, because its parts are CSV files
     "csv": "csv_table:CsvTable",
     "servo_bench": "servo_bench:ServoBench",
     "lerobot": "lerobot:LeRobot",
@@ -22,7 +22,7 @@ _OURS = {
 
 @functools.cache
 def readers() -> dict[str, Reader]:
-    """All readers by name; those of other packages come first, so that they can claim a path before ours."""
+    """All readers by name; readers of other packages come first, so that they can claim a path first."""
     found: dict[str, Reader] = {entry.name: entry.load()() for entry in entry_points(group="op3.readers")}
     for name, place in _OURS.items():
         module, _, kind = place.partition(":")

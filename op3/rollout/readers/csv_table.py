@@ -1,4 +1,4 @@
-"""CSV, wide (a column per channel and joint) or long (a row per joint and time, or per value)."""
+"""CSV: wide (a column per channel and joint) or long (a row per joint and time, or per value)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _NAMES = ("joint", "joint_name", "servo", "motor", "name")
 _NUMBERS = ("id", "joint_id", "servo_id", "motor_id")
 _KINDS = ("channel", "signal", "variable", "quantity", "field", "key")
 _LISTED = re.compile(r"(.*\.)(?:joint_)?names?(\d+)")
-"""Columns in which `rostopic echo -p` writes the names of joints, whose numbers have the same index."""
+"""Columns with joint names written by `rostopic echo -p`; the numbers of a joint have the same index."""
 
 
 class CsvTable:
-    """A table with a header; other column names than those of the wide CSV need `columns:` in the YAML beside it."""
+    """A table with a header; names other than those of the wide CSV need `columns:` in the YAML."""
 
     title = "CSV, wide or long"
     paths = "<name>.csv"
 
     def claims(self, path: Path) -> bool:
-        """By the ending."""
+        """Recognised by the file name extension."""
         return path.is_file() and unpacked(path).suffix == ".csv"
 
     def read(self, path: Path) -> list[Recording]:
@@ -41,16 +41,16 @@ class CsvTable:
 
 
 def _texts(header: Sequence[str]) -> list[str]:
-    """Columns of a long table that name a joint, and what is measured."""
+    """Columns of a long table that contain the joint and the quantity."""
     if listed := [name for name in header if _LISTED.fullmatch(name)]:
         return listed + [name for name in header if name.endswith(".frame_id")]
     named, kinds, numbered = ([n for n in header if n.lower() in words][:1] for words in (_NAMES, _KINDS, _NUMBERS))
-    named = named or (numbered if kinds else [])  # alone it may count rows
+    named = named or (numbered if kinds else [])  # a lone number may count rows
     return named + kinds if named and len(header) > 2 else []
 
 
 def _echoed(header: list[str], table: np.ndarray, codes: dict[str, Codes]) -> Recording:
-    """A message per row, as `rostopic echo -p` writes them: names of joints in cells, times in ns."""
+    """One message per row, as `rostopic echo -p` writes it: joint names in cells, times in ns."""
     joints = {}
     for name, known in codes.items():
         if (listed := _LISTED.fullmatch(name)) is None:
@@ -76,23 +76,23 @@ def _wide(header: list[str], table: np.ndarray) -> Recording:
     columns = dict(zip(header, table.T, strict=True))
     for name in [n for n in columns if n == "" or n.startswith("Unnamed")]:
         if (np.diff(columns[name]) >= 1).all() and not (columns[name] % 1).any():
-            del columns[name]  # the row numbers that pandas writes, of rows that were kept
+            del columns[name]  # row numbers that pandas writes
     clock = None if "time" in columns else _clock(header)
     return Recording([Stream(table[:, 0], columns)], columns={clock[0]: clock[1]} if clock else {}, strict=True)
 
 
 def _clock(header: list[str]) -> tuple[str, Column] | None:
-    """The column that holds the time, by its name, and its meaning."""
+    """The name and the meaning of the time column."""
     meanings = ((name, guess(name)) for name in header)
     return next(((name, column) for name, column in meanings if column and column.name == "time"), None)
 
 
 def _long(header: list[str], table: np.ndarray, codes: dict[str, Codes]) -> Recording:
-    """A stream per joint, or per joint and quantity; streams with equal times are merged."""
+    """One stream per joint, or per joint and quantity; streams with equal times are merged."""
     values = [name for name in header if name not in codes]
     clock = _clock(values)
     if clock is None:
-        raise LogError("no column names a time", "name one `time` [s]", column="time", row="header")
+        raise LogError("no column contains the time", "name one `time` [s]", column="time", row="header")
     values.remove(clock[0])
     told = [header.index(name) for name in codes]
     clocks: dict[bytes, tuple[np.ndarray, dict[str, np.ndarray]]] = {}

@@ -1,10 +1,10 @@
-"""HDF5 with arrays [time, joint] by name: episodes as ALOHA records, and others of that kind.
+"""HDF5 with named arrays [time, joint], such as episodes of ALOHA.
 
-Numbered groups, such as `demo_0`, are separate recordings. Of arrays of one name in other groups, those of
-a leader are targets, and the rest keep the group in their name. Joints are named by the file, else as ALOHA's if there
-are as many, or by `columns:` of the YAML. ALOHA's files hold `observations/qpos`, `qvel`, `effort` and `action` of one
-or two arms of six joints and a gripper, at 50 rows per second, without times. Its grippers are normalised from 0 to 1
-by an opening that the file does not state, so they are left out.
+Numbered groups, such as `demo_0`, are separate recordings. If arrays in several groups have the same name, the arrays
+of a leader are targets and the others keep the group in their name. Joint names come from the file, from ALOHA if the
+number of joints agrees, or from `columns:` of the YAML. ALOHA files contain `observations/qpos`, `qvel`, `effort` and
+`action` of one or two arms with six joints and a gripper, at 50 rows per second, without times. The grippers are
+omitted, because they are normalised to a range from 0 to 1 that the file does not state.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _LEADERS = ("leader", "master")
 
 
 class Hdf5:
-    """A file of arrays by name."""
+    """A file of named arrays."""
 
     title = "HDF5, also of ALOHA (needs op3[hdf5])"
     paths = "<name>.hdf5, <name>.h5"
 
     def claims(self, path: Path) -> bool:
-        """By the ending."""
+        """Recognised by the file name extension."""
         return path.is_file() and path.suffix in (".hdf5", ".h5")
 
     def read(self, path: Path) -> list[Recording]:
-        """One recording, or one per numbered group."""
+        """One recording, or one recording per numbered group."""
         arrays, about = _content(path)
         episodes = _episodes(arrays)
         return [_recording(content, about, name and f"{path.stem}/{name}", path) for name, content in episodes.items()]
@@ -75,13 +75,13 @@ def _recording(content: dict[str, np.ndarray], about: dict[str, Any], name: str,
     for name, values in columns.items():
         gripper = str(meanings[name].name).rpartition(".")[0].endswith("gripper")
         if gripper and values.min() > -0.5 and values.max() < 1.5:
-            meanings[name] = Column(None, why="0 to 1 of an opening that the file does not state")
+            meanings[name] = Column(None, why="normalised from 0 to 1 by a range that the file does not state")
     metadata = {"robot": "simulated" if about.get("sim") else "real", "mount": "stand"}
     return Recording([Stream(time.astype(float), columns)], metadata, meanings, name, doubts=doubts)
 
 
 def _episodes(arrays: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-    """Arrays by their own name, for each numbered group; "" where there is none."""
+    """Arrays by name, for each numbered group; the group is "" if there is none."""
     episodes: dict[str, dict[str, np.ndarray]] = {}
     twice = Counter(name.rpartition("/")[2] for name in arrays)
     for name, array in arrays.items():
@@ -95,7 +95,7 @@ def _episodes(arrays: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]
 
 
 def _within(groups: list[str], short: str, taken: Collection[str]) -> str:
-    """The name of an array in groups: of a leader a target; with its group where another has the name already."""
+    """The name of an array in groups: a target for a leader; prefixed with the group if the name is taken."""
     if any(word in group.lower() for group in groups for word in _LEADERS):
         return f"target_{short}"
     return "_".join([*groups, short]) if short in taken else short
@@ -106,7 +106,7 @@ def _positive(value: Any) -> bool:
 
 
 def _content(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays of numbers by their path, and the attributes and texts; pictures are passed over."""
+    """Numeric arrays by path, and attributes and texts; images are skipped."""
     h5py = needed("h5py", "hdf5", path)
     arrays: dict[str, np.ndarray] = {}
     about: dict[str, Any] = {}

@@ -1,9 +1,9 @@
-"""LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, an episode per recording.
+"""LeRobot datasets, version 3 and 2.1: parquet with `action` and `observation.state`, one recording per episode.
 
-A motor's bare name means its position. All body joints of a dataset have one unit: degrees, radians, or -100 to 100
-over a joint's range; a gripper has 0 to 100 over its range. Ranges are in LeRobot's `calibration/.../<robot>.json`, to
-be copied into the folder as `calibration.json`. The unit is that of names, `info.json` or an old calibration; otherwise
-the one in which the positions of all joints are whole encoder counts.
+A motor's name without a quantity means its position. All body joints of a dataset have the same unit: degrees, radians,
+or -100 to 100 over the joint's range; a gripper has 0 to 100 over its range. The ranges are in LeRobot's
+`calibration/.../<robot>.json`, which must be copied into the folder as `calibration.json`. The unit is taken from
+names, `info.json` or an old calibration; otherwise it is the unit in which all positions are integer encoder counts.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from op3.rollout.readers.text import numbers, read_json
 from op3.rollout.units import canonical
 
 _TURN = 4096
-"""Counts of a turn."""
+"""Encoder counts per turn."""
 
 _NORMAL = 100.5
-"""Largest normalised number: 100 with a small margin."""
+"""Largest normalised value: 100 with a small margin."""
 
 _ON, _OFF = 0.1, 0.15
-"""Numbers are on a grid where they are this near, and off it where they are further, in its steps; 0.29 by chance."""
+"""Distances in grid steps below which numbers are on a grid, and above which they are not; 0.29 by chance."""
 
 _HANDS = ("gripper", "grip", "jaw", "jaws", "claw", "finger", "fingers", "thumb", "hand", "clamp")
-"""Ends of words in names of joints that open and close."""
+"""Endings of words that denote grippers in joint names."""
 
 _WRITES_GAIN = re.compile("so-?10[01]|lekiwi")
-"""Position gains that LeRobot writes to servos, by robot."""
+"""Position gains that LeRobot writes to the servos of each robot."""
 
 _GAIN = 16.0
 
@@ -52,7 +52,7 @@ class LeRobot:
     paths = "<folder with meta/info.json>"
 
     def claims(self, path: Path) -> bool:
-        """By what lies in the folder."""
+        """Recognised by the files in the folder."""
         return (path / "meta" / "info.json").is_file()
 
     def read(self, path: Path) -> list[Recording]:
@@ -61,7 +61,7 @@ class LeRobot:
         table = _parquet(path, ["timestamp", "episode_index", *_FEATURES])
         time, episode = (numbers(table[name], path / "data", name)[:, 0] for name in ("timestamp", "episode_index"))
         if not len(time):
-            raise LogError("the dataset has no row", "record at least one episode", source=path / "data")
+            raise LogError("the dataset has no rows", "record at least one episode", source=path / "data")
         promised = info.get("total_frames")
         if isinstance(promised, int) and len(time) < promised:
             problem = f"info.json states {promised} frames, but the parquet files have {len(time)}"
@@ -71,7 +71,7 @@ class LeRobot:
             names = _names(info, feature, path)
             cell = table[feature][0]
             if isinstance(cell, list) and len(cell) != len(names):
-                problem = f"{len(names)} names are given, but a row of {feature} has {len(cell)} numbers"
+                problem = f"there are {len(names)} names, but a row of {feature} has {len(cell)} numbers"
                 raise LogError(problem, "name every motor", source=path / "meta" / "info.json", column=feature)
             wide = numbers(table[feature], path / "data", feature, len(names))
             columns |= {prefix + _with_channel(name): wide[:, i] for i, name in enumerate(names)}
@@ -82,8 +82,8 @@ class LeRobot:
         about = fps | dict(robot="real", mount="stand", extra={"lerobot": kind})
         if _WRITES_GAIN.search(kind.lower()):
             about["firmware_gain"] = _GAIN
-            problem = f"a gain of {_GAIN:g} is assumed, which LeRobot writes to the servos of {kind}"
-            remedy = "write `firmware_gain:` into its YAML if another was set"
+            problem = f"the gain {_GAIN:g}, which LeRobot writes to the servos of {kind}, is assumed"
+            remedy = "write `firmware_gain:` into the YAML if another gain was set"
             doubts.append(LogFinding(WARNING, problem, remedy, "field firmware_gain", check="gain of LeRobot"))
         recordings = []
         for number in np.unique(episode):
@@ -95,7 +95,7 @@ class LeRobot:
 
 
 def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
-    """Names along a feature's axis: a list, a list in a mapping, or motors by number."""
+    """Names along a feature's axis, from a list, a list in a mapping, or motor numbers."""
     features = info.get("features")
     entry = features.get(feature) if isinstance(features, dict) else None
     if not isinstance(entry, dict):
@@ -106,7 +106,7 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
         names = next(iter(names.values()))
     if isinstance(names, list):
         if twice := next((name for name in names if names.count(name) > 1), None):
-            problem, remedy = f"the name {twice!r} appears twice", "name every motor once"
+            problem, remedy = f"the name {twice!r} appears twice", "give every motor a unique name"
             raise LogError(problem, remedy, source=path / "meta" / "info.json", column=feature)
         return [str(name) for name in names]
     shape = entry.get("shape")
@@ -115,7 +115,7 @@ def _names(info: dict[str, Any], feature: str, path: Path) -> list[str]:
 
 
 def _with_channel(name: str) -> str:
-    """The name with its quantity appended: a position if it names none and is no sensor of the trunk."""
+    """The name with its quantity appended, by default a position unless it is a trunk sensor."""
     meant = guess(name)
     says = meant is not None and meant.name is not None and (not meant.name.startswith("imu") or "imu" in name.lower())
     return name if says else f"{name}.pos"
@@ -141,8 +141,8 @@ class _Range:
     """Calibration of a joint.
 
     Attributes:
-        counts: Of its range; 0 where there is none.
-        unit: `deg` or `percent`, where an old file says it.
+        counts: Width of the range in counts; 0 if there is none.
+        unit: `deg` or `percent`, if an old file states it.
     """
 
     counts: float = 0.0
@@ -150,7 +150,7 @@ class _Range:
 
 
 def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
-    """The ranges of these joints by LeRobot's calibration file, of either form; empty where there is none."""
+    """The ranges of these joints from a LeRobot calibration file of either form; empty if there is none."""
     file = next((f for f in (path / "calibration.json", path / "meta" / "calibration.json") if f.is_file()), None)
     if file is None:
         return {}
@@ -158,7 +158,7 @@ def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
     names = content.get("motor_names")
     for joint in joints:
         try:
-            if isinstance(names, list):  # a list per field, until the summer of 2025
+            if isinstance(names, list):  # one list per field, the format until mid-2025
                 at = names.index(joint)
                 unit = "deg" if content["calib_mode"][at] == "DEGREE" else "percent"
                 found[joint] = _Range(abs(float(content["end_pos"][at]) - float(content["start_pos"][at])), unit)
@@ -170,7 +170,7 @@ def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
             if joint not in known:
                 problem = f"the calibration does not have this joint; it has {', '.join(known)[:120]}"
                 remedy = (
-                    "copy the calibration file of this robot; put the entries of two arms into one file, by these names"
+                    "copy this robot's calibration file; for two arms, put the entries into one file under these names"
                 )
             else:
                 problem, remedy = "the calibration of the joint has no range", "copy LeRobot's calibration file"
@@ -179,7 +179,7 @@ def _calibration(joints: Sequence[str], path: Path) -> dict[str, _Range]:
 
 
 def _said(content: Any) -> str | None:
-    """The unit of body joints, if any text of a description states it."""
+    """The unit of body joints if a text in the description states it."""
     if isinstance(content, dict):
         if isinstance(content.get("use_degrees"), bool):
             return "deg" if content["use_degrees"] else "normalised"
@@ -190,7 +190,7 @@ def _said(content: Any) -> str | None:
 
 
 def _apart(values: np.ndarray, step: float) -> float:
-    """Distance of numbers from a grid through the first of them, in steps of the grid; NaN if they span few steps."""
+    """Distance of numbers from a grid through the first number, in grid steps; NaN if they span few steps."""
     if not 0 < step < np.ptp(values) / 5:
         return math.nan
     steps = (values - values[0]) / step
@@ -198,7 +198,7 @@ def _apart(values: np.ndarray, step: float) -> float:
 
 
 def _grids(unit: str, counts: float) -> tuple[float, ...]:
-    """Steps of an encoder's counts in a unit: LeRobot takes one count less for a turn."""
+    """Size of an encoder count in a unit; LeRobot divides a turn by one count less."""
     turn = {"deg": 360.0, "rad": 2 * math.pi}.get(unit)
     if turn is not None:
         return turn / (_TURN - 1), turn / _TURN
@@ -206,7 +206,7 @@ def _grids(unit: str, counts: float) -> tuple[float, ...]:
 
 
 def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range]) -> float:
-    """Distance of the joints' numbers from the grid of a unit, in its steps; NaN if no joint shows it."""
+    """Distance of the joints' numbers from the grid of a unit, in grid steps; NaN if no joint allows a decision."""
     every = [
         [_apart(values, grid) for grid in _grids(unit, ranges.get(joint, _Range()).counts)]
         for joint, values in joints.items()
@@ -218,11 +218,11 @@ def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _R
 def _body_unit(
     joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range], said: str | None
 ) -> tuple[str, str, LogFinding | None]:
-    """The unit of the body's joints, its source, and the remaining doubt."""
+    """The unit of the body joints, the evidence for it, and the remaining doubt."""
     if said is not None:
-        return said, "info.json says so", None
+        return said, "info.json states it", None
     if {known.unit for joint, known in ranges.items() if joint in joints} - {""}:
-        return "deg", "the calibration says so", None
+        return "deg", "the calibration states it", None
     most = np.array([np.abs(values).max() for values in joints.values()] or [0.0])
     units = ["deg"]
     if np.quantile(most, 0.75) < 2 * math.pi and most.max() < 8 * math.pi:
@@ -233,28 +233,26 @@ def _body_unit(
     on = [unit for unit in units if apart[unit] < _ON]
     if on:
         unit = min(on, key=apart.__getitem__)
-        return unit, f"all joints lie on its grid of encoder counts, {apart[unit]:.2g} steps off", None
+        return unit, f"all joints lie on the grid of encoder counts, {apart[unit]:.2g} steps off", None
     beyond = [joint for joint, known in ranges.items() if joint in joints and known.counts]
     beyond = [j for j in beyond if np.abs(joints[j]).max() > 1.05 * 180 * ranges[j].counts / _TURN]
     if beyond and "normalised" in units:
-        return "normalised", f"in degrees {beyond[0]} would leave its range", None
+        return "normalised", f"in degrees {beyond[0]} would exceed its range", None
     if most.max() > _NORMAL:
         return "deg", "values exceed 100", None
     steps = step(np.stack(list(joints.values()), axis=1)) if joints else np.zeros(0)
     steps = steps[(steps > 0.03) & (steps < 1)]
     if len(steps) > 1 and not ranges and apart["deg"] > _OFF and np.ptp(steps) > 0.03 * steps.max():
         problem = (
-            f"the numbers come in steps of {', '.join(f'{one:.3g}' for one in steps[:4])}, each joint in its own: "
+            f"the numbers come in steps of {', '.join(f'{one:.3g}' for one in steps[:4])}, different for each joint: "
         )
-        problem += "they are normalised to the joints' ranges, which are not given"
+        problem += "they are normalised to the joints' ranges, which are unknown"
         remedy = "copy LeRobot's calibration file there as calibration.json"
-        return "deg", "nothing else is known", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
+        return "deg", "there is no other evidence", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
     if "rad" in units:
-        return "rad", "hardly any value exceeds a turn in radians", None
-    problem = (
-        f"numbers of up to {most.max():.4g} have no unit and are read as degrees, but normalised ones would be similar"
-    )
-    remedy = "write `unit: deg` under `columns:` in a YAML, or their size"
+        return "rad", "few values exceed a turn in radians", None
+    problem = f"numbers of up to {most.max():.4g} without a unit are read as degrees, but could be normalised values"
+    remedy = "write `unit: deg`, or the size of the unit, under `columns:` in a YAML"
     if not ranges:
         remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"
     why = "degrees are assumed, since no unit is given; numbers of -100 to 100 may be normalised to a range"
@@ -264,7 +262,7 @@ def _body_unit(
 def _units(
     columns: dict[str, np.ndarray], meanings: dict[str, Column], info: dict[str, Any], path: Path
 ) -> list[LogFinding]:
-    """Set the unit of positions and targets; returns the remaining doubts."""
+    """Set the unit of positions and targets; return the remaining doubts."""
     angles = {n: c for n, c in meanings.items() if str(c.name).rpartition(".")[2] in ("position", "target")}
     named = {name: next((u for u in map(canonical, _words(name)) if u in ("deg", "rad")), None) for name in angles}
     joint_of = {name: str(column.name).rpartition(".")[0] for name, column in angles.items()}
@@ -276,7 +274,7 @@ def _units(
     body = {joint: values for joint, values in read.items() if joint not in hands}
     said = _said(info) or next((unit for unit in named.values() if unit), None)
     unit, why, doubt = _body_unit(body, ranges, said)
-    for joint in sorted(hands):  # one that is told as the body is
+    for joint in sorted(hands):  # a gripper with the unit of the body
         own = {joint: read[joint]}
         fits = unit != "normalised" and _misfit(unit, own, ranges) < _ON and not _misfit("percent", own, ranges) < _ON
         if fits or (unit == "rad" and np.abs(read[joint]).max() < 2 * math.pi):
@@ -290,19 +288,19 @@ def _units(
         joint = joint_of[name]
         span = 2 * math.pi / _TURN * ranges.get(joint, _Range()).counts
         if named[name] is not None:
-            meanings[name] = Column(column.name, named[name], why=f"the name says {named[name]}")
+            meanings[name] = Column(column.name, named[name], why=f"the name states {named[name]}")
         elif joint in hands and span:
             meanings[name] = Column(column.name, span / 100, why="0 to 100 over the range of a gripper")
         elif joint in hands:
             low, high = float(columns[name].min()), float(columns[name].max())
             meanings[name] = Column(column.name, "deg", why="the range of the gripper is not given")
             if low >= 0 and high - low > 5 and not any("gripper's" in one.problem for one in doubts):
-                problem = f"a gripper's numbers of {low:.4g} to {high:.4g} are read as degrees; LeRobot's run from 0 to"
+                problem = f"gripper values from {low:.4g} to {high:.4g} are read as degrees; LeRobot's go from 0 to"
                 problem += " 100 over its range"
                 remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
                 doubts.insert(0, LogFinding(WARNING, problem, remedy, name, check="unit of LeRobot"))
         elif unit == "normalised" and not span:
-            problem = "the numbers are normalised to the joint's range, which is not given"
+            problem = "the numbers are normalised to the joint's range, which is unknown"
             raise LogError(
                 problem, "copy LeRobot's calibration file there as calibration.json", source=path, column=name
             )
@@ -318,7 +316,7 @@ def _words(name: str) -> set[str]:
 
 
 def _opens(joint: str, values: np.ndarray, ranges: Mapping[str, _Range]) -> bool:
-    """Whether a joint's numbers are 0 to 100 over its range: they fit, and its name or their grid confirms it."""
+    """Whether a joint has values from 0 to 100 over its range: they fit, and its name or their grid confirms it."""
     if values.min() < 100 - _NORMAL or values.max() > _NORMAL:
         return False
     if ranges.get(joint, _Range()).unit == "percent" or any(word.endswith(_HANDS) for word in _words(joint)):

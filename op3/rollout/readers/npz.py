@@ -16,7 +16,7 @@ from op3.rollout.readers.reader import Column, Recording, Stream
 _TIMES, _JOINTS = ("time", "times", "t", "timestamp"), ("joints", "joint_names", "names")
 _STEPS = ("dt", "timestep", "period")
 _SIGNALS = {2: ("_qpos", "position"), 3: ("_qvel", "velocity"), 5: ("_ctrl", "target")}
-"""Kinds of signal in `mujoco.sysid`, its `SignalType`: ending of their names, and ours."""
+"""Signal kinds of `mujoco.sysid` (`SignalType`): ending of their names, and op3's quantity."""
 
 _DAMAGED = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError)
 _DAMAGED += (NotImplementedError, MemoryError, SyntaxError, RuntimeError, OverflowError)
@@ -25,13 +25,13 @@ Content = dict[str, np.ndarray]
 
 
 class Npz:
-    """An archive of numbers [time] or [time, joint] and a time; joint names in `joints`."""
+    """An archive with a time, arrays [time] or [time, joint], and joint names in `joints`."""
 
     title = "npz, also of mujoco.sysid"
     paths = "<name>.npz, or a folder of sysid's control and state files"
 
     def claims(self, path: Path) -> bool:
-        """By the ending, or a folder of time series that form one recording."""
+        """Recognised by the extension, or as a folder of time series that form one recording."""
         if not path.is_dir():
             return path.suffix == ".npz"
         files = sorted(path.glob("*.npz"))
@@ -70,7 +70,7 @@ def _load(path: Path) -> Content:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except _DAMAGED:
-        remedy = "copy the file again, or save it with numpy.savez and without objects"
+        remedy = "copy the file again, or save it with numpy.savez without Python objects"
         raise LogError("the file is not a readable npz archive", remedy, source=path) from None
 
 
@@ -85,7 +85,7 @@ def _partial(path: Path) -> bool:
 
 
 def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
-    """Signals of `mujoco.sysid`: positions, velocities and controls by their kind, sensors by their name."""
+    """Signals of `mujoco.sysid`: positions, velocities and controls by kind, sensors by name."""
     try:
         if (data := content["data"]).dtype.kind not in "fiub":
             raise ValueError(data.dtype)
@@ -104,16 +104,16 @@ def _signals(content: Content, path: Path) -> tuple[Content, dict[str, Column]]:
 
 
 def columns_of(content: Content, rows: int, joints: list[str], path: Path) -> Content:
-    """Arrays by name; the last axis of two-dimensional ones is the joints."""
+    """Arrays by name; the last axis of two-dimensional arrays is the joint."""
     columns: Content = {}
     for name, array in content.items():
         late = array.ndim > 1 and rows in array.shape[1:] and len(array) != rows
         wide = array.ndim == 2 and len(array) == rows and array.shape[1] not in (1, 3, 4, len(joints) or array.shape[1])
         if array.dtype.kind in "fiub" and (late or wide):
-            problem = f"the array is of shape {array.shape}, of {rows} times and {len(joints) or 'unnamed'} joints"
-            raise LogError(problem, "save arrays [time, joint], an archive per episode", source=path, column=name)
+            problem = f"the array has shape {array.shape} for {rows} times and {len(joints) or 'unnamed'} joints"
+            raise LogError(problem, "save arrays [time, joint], one archive per episode", source=path, column=name)
         if array.dtype.kind not in "fiub" or name in _TIMES or array.ndim not in (1, 2) or 2 * len(array) < rows:
-            continue  # a number of each joint, or of the recording
+            continue  # one number per joint or per recording
         table = array.reshape(len(array), -1).astype(float)
         axes = joints if len(joints) == table.shape[1] else [f"joint_{i}" for i in range(table.shape[1])]
         kind = name.replace("command/position", "target").replace("/", "_")

@@ -1,9 +1,9 @@
-"""The interface of a reader of a log format, and its result.
+"""The interface of a log format's reader, and its result.
 
-A reader is a small class that claims paths and returns their content: columns by their names in the file, each group
-with its clock, and the meanings that the format defines. Naming, units, resampling, options of the import, checks and
-the building of a `Rollout` are the same for all formats (`op3.rollout.importing`). Another package adds a format by an
-entry point of the group `op3.readers` that names such a class.
+A reader is a small class that claims paths and returns their content: columns by their names in the file, in groups
+with a common clock, and the meanings that the format defines. Naming, units, resampling, import options, checks and the
+construction of a `Rollout` are common to all formats (`op3.rollout.importing`). Another package adds a format with an
+entry point in the group `op3.readers` that names such a class.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Column:
     """Meaning of a column of a file: the SI value is ``sign * size of the unit * number + offset``.
 
     Attributes:
-        name: Column of the wide CSV (`elbow.position`, `imu.gyro_x`, `time`); None where it is left out.
-        unit: Name of a unit, or its size in the SI unit; None for the SI unit.
+        name: Column of the wide CSV (`elbow.position`, `imu.gyro_x`, `time`); None if it is omitted.
+        unit: Name of a unit, or its size in SI units; None for the SI unit.
         sign: 1 or -1.
-        offset: Added at the end, in the SI unit.
-        why: What the meaning was guessed from; empty if the file or the user states it.
+        offset: Value added last, in the SI unit.
+        why: Reason for a guessed meaning; empty if the file or the user states the meaning.
     """
 
     name: str | None = None
@@ -59,11 +59,11 @@ class Recording:
     """Content of a file, before names and units are converted.
 
     Attributes:
-        streams: The first defines the rows; the others are resampled to its times, their delay kept.
+        streams: The first stream defines the rows; the others are resampled to its times with unchanged delay.
         metadata: Fields of `Metadata` that the file states.
-        columns: Meaning of columns, if the format states or suggests it, by their names in the file.
-        name: Id of the recording; empty: the file's name.
-        strict: Whether a YAML beside it is required, and a column without a meaning is refused instead of left out.
+        columns: Meanings of columns by name in the file, if the format states or suggests them.
+        name: Identifier of the recording; empty: the file's name.
+        strict: Whether a YAML is required, and a column without a meaning is an error instead of omitted.
         doubts: Guesses of the reader; a doubt about a column lasts until the YAML describes the column.
     """
 
@@ -80,7 +80,7 @@ def needed(module: str, extra: str, path: Path) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        problem = f"reading it needs the package {module.partition('.')[0]}, which is missing"
+        problem = f"reading the file needs the package {module.partition('.')[0]}, which is not installed"
         raise LogError(problem, f"install it with `pip install 'op3[{extra}]'`", source=path) from None
 
 
@@ -96,9 +96,9 @@ class Reader(Protocol):
     paths: str
 
     def claims(self, path: Path) -> bool:
-        """Whether an existing path has this format, by its name or its first bytes; never raises."""
+        """Whether an existing path has this format, judged by name or first bytes; never raises an error."""
         ...
 
     def read(self, path: Path) -> Sequence[Recording | Rollout]:
-        """The recordings of a path, one per episode; raises `LogError` with one sentence."""
+        """The recordings in a path, one per episode; raises `LogError` with one sentence."""
         ...

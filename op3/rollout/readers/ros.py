@@ -1,8 +1,8 @@
-"""ROS bags without ROS: ROS 2 (sqlite3 and MCAP, a folder or a single file) and ROS 1, by the rosbags package.
+"""ROS bags, read without ROS by the rosbags package: ROS 2 (sqlite3 and MCAP, folder or file) and ROS 1.
 
-States come from `JointState`, commands from every message with joint names and positions (`JointTrajectory`,
-controller states, `JointState` on a command topic or of a leader, arrays), the trunk from `Imu`. A trajectory is
-interpolated as controllers do: from the joint's last target through its points, until the next trajectory arrives.
+States come from `JointState` messages and trunk readings from `Imu`. Commands come from messages with joint names and
+positions: `JointTrajectory`, controller states, `JointState` of a leader or on a command topic, arrays. A trajectory is
+interpolated from the joint's last target through its points until the next trajectory arrives.
 """
 
 from __future__ import annotations
@@ -25,38 +25,38 @@ from op3.rollout.validate import INSTANT
 
 _COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
 _LEADERS = ("leader", "master", "teleop")
-"""Words in topics of leaders, whose states others follow."""
+"""Words in the topics of leaders, whose states are the targets of followers."""
 
 _FOLLOWERS = ("follower", "puppet", "slave")
-"""First words in names of joints that follow, where those of the others' begin with one of `_LEADERS`."""
+"""First words in names of followers' joints, if the names of leaders' joints begin with one of `_LEADERS`."""
 
 _KINDS = {"position": "position", "velocity": "velocity", "effort": "load"}
 _TRAJECTORY_STEP = 0.01
 """Time between samples of a trajectory [s]."""
 
 _SHARED = 1.0
-"""Largest difference of synchronised clocks of headers [s]."""
+"""Largest difference between synchronised header clocks [s]."""
 
 _PUBLISHED = 5
-"""Smallest number of messages by which a second publisher is recognised."""
+"""Smallest number of messages that reveal a second publisher."""
 
 _BETWEEN = 0.15
-"""Messages of a second publisher of commands stand singly between others that are no further apart [s]."""
+"""Largest interval between the messages around a single message of a second command publisher [s]."""
 
 _LEAPS = 0.02
-"""Largest movement of a joint between messages [rad], or ten times its usual movement."""
+"""Largest movement of a joint between messages [rad]; ten times its usual movement is also allowed."""
 
 
 @dataclass
 class Topic:
-    """Messages of a topic about some columns.
+    """Messages of a topic that contain certain columns.
 
     Attributes:
-        name: Of the topic.
-        kind: Of its messages.
-        columns: What its numbers are; of an array `#0`, `#1` and so on.
-        rows: The header's time (NaN: none), the time in the bag, and numbers.
-        paths: Of trajectories, by row: times from its start [point] and positions [point, joint].
+        name: Name of the topic.
+        kind: Type of its messages.
+        columns: Columns of the numbers; `#0`, `#1` and so on for an array.
+        rows: Header time (NaN if missing), bag time, and numbers.
+        paths: Trajectories by row: times from the start [point] and positions [point, joint].
     """
 
     name: str
@@ -66,7 +66,7 @@ class Topic:
     paths: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def ends(self, kind: str) -> bool:
-        """Whether its columns are of a kind, such as `position`."""
+        """Whether its columns are of this kind, such as `position`."""
         return self.columns[0].endswith(f".{kind}")
 
     @property
@@ -82,19 +82,19 @@ class Ros:
     paths = "<bag folder>, <name>.mcap, <name>.db3, <name>.bag"
 
     def claims(self, path: Path) -> bool:
-        """By the ending, or the files in the folder."""
+        """Recognised by the extension, or by the files in the folder."""
         return path.suffix in (".bag", ".mcap", ".db3") or (path.is_dir() and is_bag(path))
 
     def read(self, path: Path) -> list[Recording]:
-        """One recording; joints are those with a state and a command."""
+        """One recording with all joints that have both states and commands."""
         found: dict[tuple[str, str, tuple[str, ...]], Topic] = {}
-        orders: dict[frozenset[str], tuple[str, ...]] = {}  # in which names came first
+        orders: dict[frozenset[str], tuple[str, ...]] = {}  # in the order of first occurrence
         for name, kind, received, message in _messages(path):
             names = getattr(message, "name", getattr(message, "joint_names", ()))
             if len(set(names)) < len(names):
                 twice = next(one for one in names if list(names).count(one) > 1)
-                problem = f"{name} has the joint {twice} twice in one message"
-                raise LogError(problem, "give every joint a unique name where it is published", source=path)
+                problem = f"{name} contains the joint {twice} twice in one message"
+                raise LogError(problem, "publish every joint under a unique name", source=path)
             stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
             for told, points in _samples(name, kind, message):
                 columns = orders.setdefault(frozenset(told), tuple(told))
@@ -113,15 +113,14 @@ class Ros:
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag of ROS 2, whose `metadata.yaml` is its own."""
+    """Whether a folder is a ROS 2 bag, which also has a `metadata.yaml`."""
     about = folder / "metadata.yaml"
     named = about.is_file() and b"rosbag2_bagfile_information" in about.read_bytes()[:200]
     return named or any(folder.glob("*.[dm][bc][3a]*"))
 
 
 def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> None:
-    """Remove messages of zeros by a second publisher of a topic; refuse the log if both publishers send other
-    values."""
+    """Remove zero messages from a second publisher of a topic; reject the log if both publishers send other values."""
     for topic in (one for one in topics if len(one.rows) >= 20):
         if not (states := topic.ends("position")) and not (topic.ends("target") or topic.is_array):
             continue
@@ -142,15 +141,15 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
         ).any():
             continue
         if not states and not _stands_singly(np.asarray(other), table[:, 1]):
-            continue  # levels that are told in turn
+            continue  # the values alternate regularly
         if np.abs(own - np.median(foreign, axis=0)).max() < near:
-            continue  # it is there itself
+            continue  # the joint is really there
         problem = f"{other.sum()} of {len(values)} messages of {topic.name} differ strongly from those before and"
-        problem += " after: two programs publish it"
+        problem += " after: two programs publish the topic"
         column = None if topic.is_array else topic.columns[0]
         if foreign.any():
-            raise LogError(problem, "stop one of them, and record again", source=path, column=column)
-        remedy = "these are zeros and are ignored; stop the program that publishes them"
+            raise LogError(problem, "stop one of the programs, and record again", source=path, column=column)
+        remedy = "stop the program that publishes zeros; its messages are ignored here"
         doubts.append(LogFinding(WARNING, problem, remedy, column, check="two publishers"))
         gone = set(table[other, 1].tolist())
         for part in topics:
@@ -161,7 +160,7 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
 
 
 def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
-    """Whether nearly all rows of a kind are single or in pairs, shortly between other rows."""
+    """Whether nearly all rows of this kind occur alone or in pairs, a short time between other rows."""
     edges = np.flatnonzero(np.diff(rows.astype(int)))
     begin, end = edges[rows[edges + 1]], edges[~rows[edges + 1]]
     end = end[end > begin[0]] if len(begin) else end
@@ -171,8 +170,8 @@ def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
 
 
 def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
-    """A topic for each group of columns: relays are left out, states of a leader are commands; two different topics,
-    and states without commands, are refused."""
+    """One topic for each group of columns. Relayed topics are omitted and states of a leader are commands; two
+    different topics, or states without commands, are errors."""
     told = any(topic.ends("target") or topic.is_array for topic in topics)
     states = [topic for topic in topics if topic.kind == "JointState" and topic.ends("position")]
     leads = [topic for topic in states if any(word in topic.name.lower() for word in _LEADERS)]
@@ -192,12 +191,12 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
                     continue
                 if not topic.is_array:
                     raise _differ(topic, other, path, shared[0])
-                key = (topic.name,)  # of other joints, or refused when it is known of which
+                key = (topic.name,)  # for other joints, or an error once the joints are known
         chosen.setdefault(key, topic)
     names = sorted({name for topic in chosen.values() for name in topic.columns})
     here, there = ([n.rpartition(".")[0] for n in names if n.endswith(end)] for end in (".position", ".target"))
     if here and not there and not any(topic.is_array for topic in chosen.values()):
-        problem = "no topic commands these joints"
+        problem = "no topic contains commands for these joints"
         remedy = f"record the topic of the commands, whose name contains one of {', '.join(_COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
     alike = {} if {*here} & {*there} else {t: [s for s in here if _behind(s, t) or _behind(t, s)] for t in there}
@@ -208,15 +207,15 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
 
 
 def _behind(name: str, other: str) -> bool:
-    """Whether a name is the other one with a namespace, or its leader."""
+    """Whether one name is the other with a namespace, or its leader."""
     (first, _, rest), (lead, _, same) = name.partition("_"), other.partition("_")
     return name.endswith(f"_{other}") or (first in _FOLLOWERS and lead in _LEADERS and rest == same)
 
 
 def _differ(topic: Topic, other: Topic, path: Path, column: str) -> LogError:
-    remedy = "keep one of the topics, as `ros2 bag convert` or `mcap filter` do"
+    remedy = "keep one of the topics, for example with `ros2 bag convert` or `mcap filter`"
     return LogError(
-        f"{topic.name} and {other.name} both publish it, with different values", remedy, source=path, column=column
+        f"{topic.name} and {other.name} both contain it, with different values", remedy, source=path, column=column
     )
 
 
@@ -227,7 +226,7 @@ def _content(topic: Topic, names: list[str]) -> set[tuple[float, ...]]:
 
 
 def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
-    """Topic, type, time in the bag [s] and content of messages that may describe joints or the trunk."""
+    """Topic, type, bag time [s] and content of messages that may describe joints or the trunk."""
     highlevel, typesys = (needed(f"rosbags.{name}", "ros", path) for name in ("highlevel", "typesys"))
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
@@ -236,7 +235,7 @@ def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
                 kind = connection.msgtype.rpartition("/")[2]
                 if kind in ("JointState", "Imu", "Float64MultiArray") or "Trajectory" in kind or "Controller" in kind:
                     yield connection.topic, kind, time * 1e-9, reader.deserialize(raw, connection.msgtype)
-    except Exception as error:  # a damaged bag fails anywhere in the parsers of three formats
+    except Exception as error:  # a damaged bag may raise any error in the parsers of three formats
         problem = f"the bag cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
         mcap = path.suffix == ".mcap" or any(path.glob("*.mcap"))
         mends = "rosbag reindex" if path.suffix == ".bag" else "mcap recover" if mcap else "ros2 bag reindex"
@@ -248,7 +247,7 @@ Points = tuple[np.ndarray, np.ndarray]
 
 
 def _samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, float], Points | None]]:
-    """Numbers by column in a message, and the points of a trajectory."""
+    """Numbers in a message by column, and the points of a trajectory."""
     commanded = any(word in topic.lower() for word in _COMMAND_WORDS)
     for part in ("goal", "trajectory"):
         message = getattr(message, part, message)
@@ -290,7 +289,7 @@ def _imu(message: Any) -> dict[str, float]:
 
 
 def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[Stream]:
-    """Streams on one clock, with trajectories as they are followed and arrays in the order of the joints."""
+    """Streams on one clock, with interpolated trajectories and with arrays in the order of the joints."""
     streams, clocks, taken = list[Stream](), _clocks(topics), dict[str, Topic]()
     order = sorted(zip(topics, clocks, strict=True), key=lambda item: (item[0].is_array, -len(item[0].columns)))
     for topic, time in sorted(order, key=lambda item: not item[0].ends("position")):
@@ -308,10 +307,10 @@ def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[
 
 
 def _clocks(topics: list[Topic]) -> list[np.ndarray]:
-    """Times of each topic's messages: those of the headers if all headers share a clock, else those of the bag.
+    """Times of each topic's messages: header times if all headers share a clock, otherwise bag times.
 
-    A simulation's headers run at another speed than the bag. Messages without a header are put on the headers' clock by
-    when they were received.
+    Header times of a simulation may run at another speed than bag times. Messages without a header are converted to the
+    header clock from their time of receipt.
     """
     stamps = [np.array(topic.rows)[:, :2] for topic in topics]
     stamped = [table for table in stamps if not np.isnan(table[:, 0]).any()]
@@ -331,8 +330,8 @@ def _clocks(topics: list[Topic]) -> list[np.ndarray]:
 
 
 def _followed(topic: Topic, time: np.ndarray, streams: list[Stream]) -> tuple[np.ndarray, np.ndarray]:
-    """Times and targets of trajectories as a controller interpolates them: each begins at the last target, or at first
-    at the measured position, and ends when the next begins."""
+    """Times and targets of trajectories as a controller interpolates them. Each starts at the last target, the first at
+    the measured position, and ends when the next one starts."""
     order = np.argsort(time, kind="stable")
     at = {name: (s.time, values) for s in streams for name, values in s.columns.items()}
     names = [column.replace(".target", ".position") for column in topic.columns]
@@ -363,7 +362,7 @@ def _order(
     path: Path,
     doubts: list[LogFinding],
 ) -> tuple[str, ...]:
-    """The joints of an array of targets: those with the nearest positions that no other array has.
+    """The joints of an array of targets: the joints with the nearest positions that belong to no other array.
 
     Raises:
         LogError: if the assignment is ambiguous.
@@ -373,8 +372,8 @@ def _order(
     if len(names) < width:
         if taken and len(states) >= width:
             raise _differ(topic, next(iter(taken.values())), path, next(iter(taken)))
-        problem = f"{topic.name} sends arrays of {width} numbers, and the states have {len(names)} joints"
-        raise LogError(problem, "record a topic of commands with the names of joints", source=path)
+        problem = f"{topic.name} sends arrays of {width} numbers, but the states have {len(names)} joints"
+        raise LogError(problem, "record a command topic with joint names", source=path)
     clock = states[names[0]][0]
     clock = clock[clock >= time[0]]
     angle = np.array([np.interp(clock, *states[name]) for name in names]).T
@@ -390,13 +389,13 @@ def _order(
     off = apart[number, chosen]
     unclear = (asked > 0.1) & ((off > 0.5 * asked) | ((off > 0.5 * others) & (not in_order)))
     if unclear.any():
-        problem = f"{topic.name} sends arrays without names, and number {int(unclear.argmax()) + 1}"
-        problem += " clearly follows none of the joints"
-        raise LogError(problem, "record a topic of commands with the names of joints", source=path)
+        problem = f"{topic.name} sends arrays without joint names, and number {int(unclear.argmax()) + 1}"
+        problem += " does not clearly belong to a joint"
+        raise LogError(problem, "record a command topic with joint names", source=path)
     if not in_order and (chosen != number).any():
         order = ", ".join(names[at].rpartition(".")[0] for at in chosen)
-        problem = f"{topic.name} sends numbers without names, which are assigned to {order}, since these"
-        problem += " joints follow them, not in the order of the states"
-        remedy = "correct the names under `columns:` if this is wrong"
+        problem = f"{topic.name} sends numbers without names, which are assigned to {order}: these"
+        problem += " joints follow them, although the states have another order"
+        remedy = "correct the names under `columns:` if the assignment is wrong"
         doubts.append(LogFinding(WARNING, problem, remedy, check="order of joints"))
     return tuple(names[at].replace(".position", ".target") for at in chosen)

@@ -1,8 +1,8 @@
 """Servo-bench recordings (Rhoban): one servo that swings a pendulum, `.json` or `.json.xz`.
 
-A file is a mapping with `mass` [kg], `length` [m], `kp` [firmware units], `motor`, `trajectory`, often `vin` [V],
-and `entries`, one per sample. What the columns of a servo mean is said by its file `assets/servos/<motor>.yaml`; the
-load of a motor without a file stays in the recorders' unit.
+A file is a mapping with `mass` [kg], `length` [m], `kp` [firmware units], `motor`, `trajectory`, often `vin` [V], and
+`entries`, one per sample. The file `assets/servos/<motor>.yaml` defines the meaning of a servo's columns; the load of a
+motor without a file keeps the recorder's unit.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ _ALWAYS = ("goal_position", "position")
 
 
 class ServoBench:
-    """A recording of any motor."""
+    """A recording of any servo."""
 
     title = "servo-bench JSON"
     paths = "<name>.json, .json.xz"
 
     def claims(self, path: Path) -> bool:
-        """By the ending."""
+        """Recognised by the file name extension."""
         return path.is_file() and unpacked(path).suffix == ".json"
 
     def holds(self, path: Path) -> bool:
-        """Whether it is a recording at all: other JSON may lie beside recordings."""
+        """Whether the file is a recording, because other JSON files may be beside it."""
         try:
             return b'"entries"' in read_bytes(path)
         except LogError:
-            return True  # reading it says what is wrong
+            return True  # reading it raises the error
 
     def read(self, path: Path) -> list[Recording]:
         """One recording."""
@@ -51,7 +51,7 @@ class ServoBench:
         entries = header["entries"] if isinstance(header["entries"], list) else [header["entries"]]
         first = entries[0] if isinstance(entries[0], dict) else {}
         more = [name for name in first if name not in _NAMES and isinstance(first[name], int | float)]
-        measured = [name for name in _NAMES if name in _ALWAYS or name in first]  # else absent in every entry
+        measured = [name for name in _NAMES if name in _ALWAYS or name in first]  # otherwise absent in every entry
         table = {
             name: numbers([e.get(name) if isinstance(e, dict) else None for e in entries], path, name)[:, 0]
             for name in dict.fromkeys(("timestamp", *measured, *more))
@@ -79,7 +79,7 @@ def _metadata(header: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """Channels in SI units besides position and speed; readings that are zero throughout are omitted."""
+    """Further channels in SI units; readings that are always zero are omitted."""
     make = find_servo(str(header["motor"]))
     recorded = None if make is None else make.recorded
     read = {name: values for name, values in table.items() if values.any()}
@@ -102,12 +102,12 @@ def _sensed(header: dict[str, Any], table: dict[str, np.ndarray], path: Path) ->
     if "current" in read:
         found["current"] = read["current"]
     if "control" in read and make is not None and make.loop == "current":
-        found["current"] = -read["control"]  # it counts against the position: gravity and friction say so
+        found["current"] = -read["control"]  # its sign is opposite to the position's, as gravity and friction show
     return found
 
 
 def _volts(volts: np.ndarray, supply: Any, path: Path) -> float:
-    """1 for volts or 0.1 for tenths, whichever brings the median near the supply."""
+    """1 for volts or 0.1 for tenths of a volt, depending on which brings the median near the supply."""
     median = float(np.median(volts))
     if not isinstance(supply, int | float) or not supply > 0:
         return 1.0 if median <= VOLTAGE.bound else 0.1

@@ -1,4 +1,4 @@
-"""Tables of numbers in text: a header and rows, however they are separated, packed and encoded."""
+"""Tables of numbers in text: a header and rows with any separator, compression and encoding."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from op3.rollout.readers.text import open_text
 from op3.rollout.units import UNITS, canonical
 
 Codes = dict[str, int]
-"""Texts of a column, by their numeric codes in the table."""
+"""Texts of a column, in the order of their numeric codes."""
 
 
 def read_table(
     path: Path, texts: Callable[[Sequence[str]], Sequence[str]], slowly: bool = False
 ) -> tuple[list[str], np.ndarray, dict[str, Codes]]:
-    """Header, numbers [row, column], and the codes of columns that hold texts.
+    """Header, numbers [row, column], and the codes of text columns.
 
-    Cells may have decimal commas, be empty, or hold times of day; the slower parser is used only for such tables.
+    Cells may have decimal commas, be empty, or contain times of day; only such tables need the slower parser.
 
     Args:
-        path: Of the file.
-        texts: Which columns of a header hold texts.
-        slowly: Whether cells are more than plain numbers, or lines hold nothing but spaces.
+        path: Path of the file.
+        texts: Function that selects text columns from the header.
+        slowly: Whether to accept cells other than plain numbers, and lines of spaces.
     """
     with open_text(path) as lines:
         header, mark, open_end, lines = _header(lines)
@@ -43,7 +43,7 @@ def read_table(
         plain = (line for line in plain if line.strip()) if slowly else plain
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # of a table without rows
+                warnings.simplefilter("ignore", UserWarning)  # for a table without rows
                 table = np.loadtxt(
                     plain,
                     delimiter=None if mark == " " else mark,
@@ -59,10 +59,10 @@ def read_table(
                 return read_table(path, texts, slowly=True)
             raise _fault(str(error), header) from None
     if not table.size:
-        raise LogError("there is a header but no row", "write at least one row", row="row 1")
+        raise LogError("there is a header but there are no rows", "write at least one row", row="row 1")
     if table.shape[1] != len(header):
         if table.shape[1] > 1.5 * len(header):
-            problem = f"{table.shape[1]} cells stand below {len(header)} names, as if decimal commas had split them"
+            problem = f"there are {table.shape[1]} cells for {len(header)} names, as if decimal commas had split them"
             raise LogError(problem, "write decimal points, or separate the columns by `;`", row=1)
         raise _fault("at row 1", header)
     return header, table, codes
@@ -73,7 +73,7 @@ def _code(known: Codes, cell: str) -> int:
 
 
 def _number(cell: str) -> float:
-    """A number, also with a decimal comma; NaN for an empty cell, seconds for a date or a time of the day."""
+    """A number, possibly with a decimal comma; NaN for an empty cell, seconds for a date or time of day."""
     cell = cell.strip()
     if cell.lower() in ("", "-", "n/a", "na", "null", "none"):
         return math.nan
@@ -85,12 +85,12 @@ def _number(cell: str) -> float:
 
 
 def _fault(said: str, header: list[str]) -> LogError:
-    """Numpy's message about a cell that is not a number, or a row with another number of cells."""
+    """An error from numpy's message about a non-numeric cell or a row with a wrong number of cells."""
     if cell := re.search(r"string '(.*)' to float64 at row (\d+), column (\d+)", said, re.DOTALL):
         column, row, text = header[min(int(cell[3]), len(header)) - 1], int(cell[2]) + 1, cell[1].strip()
         problem, remedy = f"{cell[1][:40]!r} is not a number", "write a number, or remove the row"
         if re.match(r"\d{1,4}[./-]\d\d?[./-]\d{1,4}\b", text):
-            remedy = "write dates as in 2026-03-28T14:59:55.123, or seconds"
+            remedy = "write dates such as 2026-03-28T14:59:55.123, or seconds"
         elif re.fullmatch(r"-?\d{1,3}([.,]\d{3})+[.,]\d*", text):
             remedy = "write numbers without thousands separators"
         if text.strip("# ") == column:
@@ -100,18 +100,18 @@ def _fault(said: str, header: list[str]) -> LogError:
         ):
             problem, remedy = (
                 f"{text!r} is a unit",
-                "remove the row of units, and write them under `columns:` in the YAML",
+                "remove the row of units, and write the units under `columns:` in the YAML",
             )
         return LogError(problem, remedy, row=row, column=column)
     row = re.search(r"at row (\d+)", said)
     problem, remedy = f"the row does not have the {len(header)} cells of the header", "complete or remove it"
-    return LogError(problem, f"{remedy} (a file cut short ends like this)", row=int(row[1]) if row else None)
+    return LogError(problem, f"{remedy} (a truncated file ends like this)", row=int(row[1]) if row else None)
 
 
 def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
-    """Names, what separates them, whether rows end with a separator, and the rows.
+    """Names, their separator, whether rows end with a separator, and the rows.
 
-    Skips additions of Excel and comments: a line after `#` or `%` is the header only if rows follow it.
+    Skips Excel's additions and comments; a line that begins with `#` or `%` is the header only if rows follow it.
     """
     remark = first = ""
     for line in lines:
@@ -133,14 +133,14 @@ def _header(lines: Iterator[str]) -> tuple[list[str], str, bool, Iterator[str]]:
         raise LogError(f"the header is not CSV ({error})", "write names and commas", row="header") from None
     open_end = len(header) > 1 and not header[-1]
     header = header[:-1] if open_end else header
-    row = next(lines, "")  # whose end may be open where the header's is not
+    row = next(lines, "")  # rows may lack the separator that ends the header
     open_end |= mark != " " and row.count(mark) == len(header) and row.rstrip().endswith(mark)
     lines = itertools.chain([row] * bool(row), lines)
     if not header:
         raise LogError("the file is empty", "write a header and at least one row")
     if all(re.fullmatch(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?", name) for name in header):
         remedy = "write the names of the columns into the first line"
-        raise LogError("there is no header, the first row holds numbers", remedy, row=1)
+        raise LogError("there is no header; the first row contains numbers", remedy, row=1)
     for position, name in enumerate(header):
         if name in header[:position]:
             remedy = "give every column a unique name (join a header of two rows into one, such as `hip.position`)"

@@ -1,4 +1,4 @@
-"""Reading files whole or line by line, packed or not, and numbers in them, with one sentence where that fails."""
+"""Reads plain or compressed text files and the numbers in them; errors are one sentence."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _PACKED = {".xz": lzma.open, ".gz": gzip.open, ".bz2": bz2.open}
 _BEGINNINGS = {b"\xfd7zXZ\0": ".xz", b"\x1f\x8b": ".gz", b"BZh": ".bz2"}
 
 _MOST = 1 << 30
-"""Largest unpacked size of a log [B]: a small archive could otherwise fill the memory."""
+"""Largest uncompressed size of a log [B], because a small archive could fill the memory."""
 
 
 def unpacked(path: Path) -> Path:
-    """The path without the packer's ending: `run.csv` for `run.csv.xz`."""
+    """The path without the compression extension: `run.csv` for `run.csv.xz`."""
     return path.with_suffix("") if path.suffix in _PACKED else path
 
 
@@ -39,25 +39,25 @@ def _log_errors(path: Path) -> Iterator[None]:
         at = f"byte {error.start}" if isinstance(error, UnicodeDecodeError) else "the beginning"
         raise LogError(f"{at} is not UTF-8 text", "save it as UTF-8", source=path) from None
     except (lzma.LZMAError, EOFError, gzip.BadGzipFile, zlib.error) as error:
-        problem = "the packed data is broken or cut short"
+        problem = "the compressed data are damaged or truncated"
         raise LogError(problem, "copy or download the file again", source=path) from error
     except OSError as error:
         raise LogError(f"the file cannot be read ({error.strerror or error})", "check the path", source=path) from None
 
 
 def _opened(path: Path) -> Any:
-    """The bytes of a file, unpacked where its name or its beginning says that it is packed."""
+    """The bytes of a file, decompressed if its name or its first bytes indicate compression."""
     with path.open("rb") as stream:
         beginning = stream.read(6)
     if beginning[:4] == b"PK\3\4":
         remedy = "unpack it, or export the sheet as CSV"
-        raise LogError("it is a zip archive or a spreadsheet", remedy, source=path)
+        raise LogError("the file is a zip archive or a spreadsheet", remedy, source=path)
     kind = next((kind for start, kind in _BEGINNINGS.items() if beginning.startswith(start)), path.suffix)
     return _PACKED.get(kind, open)(path, "rb")
 
 
 def read_bytes(path: Path) -> bytes:
-    """Contents, unpacked where they are packed."""
+    """The content, decompressed if necessary."""
     with _log_errors(path), _opened(path) as stream:
         raw = stream.read(_MOST)
     if len(raw) == _MOST:
@@ -66,7 +66,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def _encoding(beginning: bytes) -> str:
-    """Encoding of a text, by its byte order mark or by the zeros between letters."""
+    """Encoding of a text, from its byte order mark or from zeros between letters."""
     if beginning in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
         return "utf-32"
     if beginning[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -87,7 +87,7 @@ def open_text(path: Path) -> Iterator[Iterator[str]]:
 
 
 def read_text(path: Path) -> str:
-    """Contents as text."""
+    """The content as text."""
     with open_text(path) as lines:
         text = "".join(itertools.islice(lines, 10**7))
     if not text.strip():
@@ -101,14 +101,14 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(read_bytes(path), object_pairs_hook=partial(_once, path))
     except json.JSONDecodeError as error:
-        problem = f"the JSON is broken or cut short at line {error.lineno} ({error.msg})"
+        problem = f"the JSON is damaged or truncated at line {error.lineno} ({error.msg})"
         raise LogError(problem, again, source=path) from None
     except (ValueError, RecursionError) as error:
         if isinstance(error, LogError):
             raise
         raise LogError("the file is not JSON", again, source=path) from None
     if not isinstance(content, dict):
-        raise LogError("the JSON is not a mapping", "name a file of the format", source=path)
+        raise LogError("the JSON is not a mapping", "give a recording in the expected format", source=path)
     return content
 
 
@@ -123,7 +123,7 @@ def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def numbers(cells: Sequence[Any], source: Path, column: str, width: int = 1) -> np.ndarray:
-    """Cells of a column as finite numbers [row, width]; the error names the row of the first other cell."""
+    """Cells of a column as finite numbers [row, width]; an error names the row of the first invalid cell."""
     table = _table(cells, width)
     if table is not None:
         return table

@@ -7,7 +7,7 @@ from op3.servo.effect import Effect, ModelEdit, Parameter, Stage, Usual, registe
 class Payload(Effect):
     """Mass added to the base link at its centre of mass.
 
-    The public model weighs 3.147 kg, the specification says about 3.5 kg: battery, cables and screws.
+    The public model has 3.147 kg, but the specification states about 3.5 kg; battery, cables and screws explain this.
     """
 
     name = "payload"
@@ -18,7 +18,7 @@ class Payload(Effect):
     edits = (ModelEdit("body_mass", "base_body", "add", "base_mass_offset"),)
     secants = ({"base_mass_offset": 0.1},)
     fingerprint = (
-        "in phase with gravity, in fixed ratio over all joints that carry the base link; a step between recordings"
+        "in phase with gravity, with a fixed ratio over all joints that carry the base link; a step between recordings"
     )
     confounders = ("com_offset", "link_mass", "torque_constant")
     separating_experiment = "add a known mass; turn the base"
@@ -41,7 +41,7 @@ class CentreOfMassOffset(Effect):
         ModelEdit("body_ipos", "base_body", "add", "base_com_offset_z", column=2),
     )
     secants = ({"base_com_offset_x": 0.005}, {"base_com_offset_z": 0.005})
-    fingerprint = "in phase with gravity of the base link, turning with the pose"
+    fingerprint = "in phase with the base link's gravity torque, with a direction that changes with the pose"
     confounders = ("payload", "encoder_offset", "cable_spring", "imu_mount", "ground_tilt")
     separating_experiment = "turn the base: gravity turns, a spring does not; a known added mass"
 
@@ -58,12 +58,12 @@ class LinkInertia(Effect):
     equation = "J_link += m_link k^2"
     source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2, so the range is one of 0.16 m at most"
     parameters = (Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),)
-    # no weight is a point: a ball of steel of 0.2 to 1 kg has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2, the most compact
-    # there is; discs, screws and the arm add to it. With one weight it is not distinguished from the rotor's inertia
+    # no weight is a point: the most compact, a steel ball of 0.2 to 1 kg, has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2;
+    # discs, screws and the arm add to it. With a single weight it is not distinguishable from the rotor's inertia
     usual = {"gyration_squared": Usual(2.5e-4, 1.5e-4, 2e-4, 1.5e-3, least=0.0, bench=True)}
     edits = (ModelEdit("body_inertia", "joint_body", "add", "gyration_squared", per="body_mass"),)
     secants = ({"gyration_squared": 2e-3},)
-    fingerprint = "in proportion to acceleration, in the joint and in those that carry it"
+    fingerprint = "proportional to acceleration, in the joint and in the joints that carry it"
     confounders = ("motor", "torque_constant")
     separating_experiment = "fast motion of a neighbour: link inertia couples joints, the rotor does not"
 
@@ -79,7 +79,7 @@ class LinkMass(Effect):
     parameters = (Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),)
     edits = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
     secants = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
-    fingerprint = "in phase with gravity, in fixed ratio over all joints that carry the link"
+    fingerprint = "in phase with gravity, with a fixed ratio over all joints that carry the link"
     confounders = ("payload", "link_com", "torque_constant", "encoder_offset")
     separating_experiment = "add a known mass; turn the base"
     scopes = ("joint",)

@@ -25,9 +25,10 @@ def chance(seed, number):
 class PacketDrop(Effect):
     """Some command packets do not arrive; the servos then hold their last command.
 
-    One packet carries the commands of all servos, so all lose it. The lost packets depend only on the seed and the
-    number of the tick: all simulations lose the same packets, and more with a higher probability. If the signal
-    ``packet`` states whether one arrived, as a diagnosis reads from a log, it is used if the probability is above 0.
+    One packet carries the commands of all servos, so all servos lose it. The lost packets depend only on the seed and
+    the number of the tick: all simulations lose the same packets, and more with a higher probability. If the
+    probability is above 0 and the signal ``packet`` states which packets arrived, for example in the log of a
+    diagnosis, that signal is used.
 
     Attributes:
         seed: seed of the random numbers.
@@ -45,7 +46,7 @@ class PacketDrop(Effect):
     secants = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
     fingerprint = "bursts one period long in all joints at once; more variance, the same mean"
     confounders = ("latency", "current_lag")
-    separating_experiment = "count gaps in the servos' own tick registers"
+    separating_experiment = "count gaps in the servos' tick registers"
 
     seed: int = 0
     signal: Literal["target_current", "goal"] = "target_current"

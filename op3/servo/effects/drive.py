@@ -15,7 +15,7 @@ from op3.servo.signals import Periods
 
 @register
 class CurrentPD(Effect):
-    """Variable-gain PD on the robot's computer, commanding current, held between control ticks.
+    """Variable-gain PD on the robot's computer, which commands a current that is held between control ticks.
 
     Attributes:
         current_limit: the servo clips target currents at this value [A].
@@ -56,12 +56,12 @@ class Latency(Effect):
     parameters = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
-    # a sync write of 2 and a sync read of 10 bytes by twenty servos are 530 bytes of ROBOTIS' protocol 2.0: 5.3 ms at
-    # 1 Mbit/s and 1.3 ms at 4 Mbit/s, and the pauses before the answers; less than the latter is as good as none
+    # for twenty servos, a sync write of 2 bytes and a sync read of 10 bytes take 530 bytes in protocol 2.0: 5.3 ms at
+    # 1 Mbit/s and 1.3 ms at 4 Mbit/s plus the pauses before answers; a shorter latency is negligible
     usual = {"command_latency": Usual(0.004, 0.0015, 0.004, 0.03, none=0.0013)}
     constants = ("steps", "steps_per_tick")
     secants = ({"command_latency": 0.001}, {"command_latency": -0.001}, {"command_latency": 0.004})
-    fingerprint = "in proportion to the rate of the command; a shift of the same length at every frequency"
+    fingerprint = "proportional to the rate of the command; the same time shift at every frequency"
     confounders = ("current_lag", "velocity_filter", "packet_drop")
     separating_experiment = (
         "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off; low and high gain"
@@ -78,7 +78,7 @@ class Latency(Effect):
         object.__setattr__(self, "parameters", known)
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
-        """Check that latencies fit into the memory; nothing is changed.
+        """Check that latencies fit into the memory, without changing parameters.
 
         Raises:
             ValueError: if a latency is negative or longer than the memory.
@@ -92,7 +92,7 @@ class Latency(Effect):
         return values
 
     def depth(self, clock: Periods) -> int:
-        """Number of commands under way, and the current one."""
+        """Number of delayed commands, and the current command."""
         return ceil(self.longest / clock.period - 1e-9) + 1
 
     @staticmethod
@@ -153,7 +153,7 @@ class PositionServo(Effect):
         Parameter("derivative_gain", "s/rad", 0.0, 0.06, 0.0, 0.0, "duty per rad/s of the error's rate, kd"),
     )
     secants = ({"controller_gain": 0.1}, {"derivative_gain": 0.005})
-    fingerprint = "in proportion to the position error, in the duty as well as in the torque"
+    fingerprint = "proportional to the position error, in the duty as well as in the torque"
     confounders = ("encoder_offset", "torque_constant", "minimum_duty")
     separating_experiment = "read the duty register: two gains, a hold against a known weight"
     scopes = ("joint", "shared")
@@ -171,7 +171,7 @@ class PositionServo(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The followed goal starts at rest at the first commanded one."""
+        """The followed goal starts at rest at the first commanded goal."""
         s.position_servo_goal, s.position_servo_goal_rate = s.position_target, 0.0
 
     @staticmethod
@@ -205,7 +205,7 @@ class MinimumDuty(Effect):
         Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),
     )
     secants = ({"minimum_duty": 0.02, "minimum_duty_fade": 0.03}, {"minimum_duty": 0.02, "minimum_duty_fade": 0.15})
-    fingerprint = "in proportion to the sign of the duty near zero duty, none at large duties"
+    fingerprint = "constant with the sign of the duty near zero duty, zero at large duties"
     confounders = ("coulomb", "stribeck", "terminal_resistance")
     separating_experiment = "small steps of the goal around rest at two bus voltages"
     scopes = ("joint", "shared")

@@ -17,8 +17,8 @@ REFERENCE_TEMPERATURE = 25.0
 class TorqueConstant(Effect):
     """Relative error of the torque constant, and with it of the back-EMF.
 
-    On a fixed base without a known weight it is exactly equivalent to all masses, inertias and frictions divided by
-    the same factor.
+    On a fixed base without a known weight, it is equivalent to dividing all masses, inertias and frictions by this
+    factor.
     """
 
     name = "torque_constant"
@@ -30,7 +30,7 @@ class TorqueConstant(Effect):
     )
     parameters = (Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),)
     secants = ({"torque_constant_error": 0.05},)
-    fingerprint = "in proportion to current, the same whether the motor drives or is driven"
+    fingerprint = "proportional to current, whether the motor drives or is driven"
     confounders = ("payload", "link_mass", "torque_constant_temperature", "dte")
     separating_experiment = "a known added mass, or a force gauge at the foot"
 
@@ -52,7 +52,7 @@ class TerminalResistance(Effect):
     )
     reads = ("temperature",)
     secants = ({"terminal_resistance_error": 0.1}, {"resistance_temperature_coefficient": 0.004})
-    fingerprint = "only where the bus voltage limits the current; the slope of current over speed there"
+    fingerprint = "only where the bus voltage limits the current, in the slope of current over speed"
     confounders = ("voltage_sag", "torque_constant", "minimum_duty")
     separating_experiment = "saturation at two speeds and two bus voltages"
 
@@ -61,7 +61,7 @@ class TerminalResistance(Effect):
 
     @staticmethod
     def apply(s, p):
-        """Set the change of the motor's resistance with temperature."""
+        """Set the temperature dependence of the motor's resistance."""
         s.resistance_factor = 1.0 + p.resistance_temperature_coefficient * (s.temperature - REFERENCE_TEMPERATURE)
 
 
@@ -76,14 +76,14 @@ class TorqueConstantTemperature(Effect):
     parameters = (Parameter("magnet_temperature_coefficient", "1/K", 0.0, 0.004, 0.0, 0.0, "a, per measured K"),)
     reads = ("temperature",)
     secants = ({"magnet_temperature_coefficient": 0.001},)
-    fingerprint = "in proportion to current times the temperature above the reference"
+    fingerprint = "proportional to current times temperature above the reference"
     confounders = ("torque_constant", "payload", "friction_drift")
     separating_experiment = "the same motion cold (25 C) and hot (55 C or more)"
     scopes = ("joint", "shared")
 
     @staticmethod
     def apply(s, p):
-        """Set the change of the motor's torque constant."""
+        """Set the temperature dependence of the motor's torque constant."""
         s.torque_constant_factor = 1.0 - p.magnet_temperature_coefficient * (s.temperature - REFERENCE_TEMPERATURE)
 
 
@@ -92,7 +92,7 @@ class VoltageSag(Effect):
     """The supply's voltage falls with the current of all servos, through battery and harness.
 
     Capacitors on the bus let it follow with a short time constant, which also keeps a bus stable on which all motors
-    saturate. If a log has the measured bus voltage, that is replayed, which already includes the sag before it.
+    saturate. If a log has the measured bus voltage, the replay uses it, and it already includes the sag.
 
     Attributes:
         time_constant: time constant with which the voltage follows the current [s].
@@ -107,7 +107,7 @@ class VoltageSag(Effect):
     memory = ("drawn",)
     constants = ("keep",)
     secants = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
-    fingerprint = "only in saturation, and in proportion to the currents of the other joints"
+    fingerprint = "only in saturation, and proportional to the currents of the other joints"
     confounders = ("terminal_resistance", "minimum_duty")
     separating_experiment = "saturate one joint alone and all joints together; measured bus voltage"
 
@@ -121,7 +121,7 @@ class VoltageSag(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The bus starts settled at the first currents."""
+        """The bus voltage starts in steady state for the first currents."""
         s.voltage_sag_drawn = s.drawn
 
     @staticmethod
@@ -148,7 +148,7 @@ class CurrentLag(Effect):
     equation = "dI/dt = (u - I) / Tc"
     source = "closed current loop; ROBOTIS does not disclose its lag, so the range is chosen by us"
     parameters = (Parameter("current_time_constant", "s", 0.0, 0.01, 0.0, 0.0, "Tc", least=0.0),)
-    # our own choice: ROBOTIS does not disclose it (ROBOTIS-GIT/emanual issue 1331), only that loops run much faster
+    # op3's choice: ROBOTIS does not disclose it (ROBOTIS-GIT/emanual issue 1331), only that loops run much faster
     # than 1 kHz (DynamixelSDK issue 534)
     usual = {"current_time_constant": Usual(0.001, 0.001, 0.002, 0.01)}
     memory = ("end", "wanted")
@@ -159,7 +159,7 @@ class CurrentLag(Effect):
         {"current_time_constant": 0.008, "command_latency": -0.008},
         {"current_time_constant": 0.001},
     )
-    fingerprint = "measured current lags its command by a fraction of a sample and is rounded off"
+    fingerprint = "measured current lags its command by a fraction of a sample, with smoothed edges"
     confounders = ("latency", "velocity_filter", "packet_drop")
     separating_experiment = "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off"
     scopes = ("joint", "shared")
@@ -211,7 +211,7 @@ class CurrentOffset(Effect):
     equation = "I_measured = I + o; regulated: I = I* - o"
     source = "zero of a shunt's amplifier; range chosen by us, 19 counts of the XM430's 2.69 mA (ROBOTIS e-Manual)"
     parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
-    # our own choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no maker states the zero
+    # op3's choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no manufacturer states the zero
     usual = {"current_offset": Usual(0.0, 0.006, 0.01, 0.06, own=True)}
     secants = ({"current_offset": 0.01},)
     fingerprint = "a constant torque in all poses, in both directions and at rest"
@@ -229,5 +229,5 @@ class CurrentOffset(Effect):
 
 
 def scaled(values: Mapping[str, Tensor], name: str, error: Tensor) -> Mapping[str, Tensor]:
-    """Parameters with one of them times ``1 + error``, where the model has it."""
+    """Parameters with one of them multiplied by ``1 + error``, if the model has it."""
     return {**values, name: values[name] * (1.0 + error)} if name in values else values

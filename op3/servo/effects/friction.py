@@ -31,7 +31,7 @@ class Coulomb(Effect):
         "torque over angle"
     )
     confounders = ("asymmetric_friction", "current_offset", "dte")
-    separating_experiment = "slow triangle both ways at two loads"
+    separating_experiment = "slow triangles in both directions at two loads"
 
     @staticmethod
     def apply(s, p):
@@ -84,7 +84,7 @@ class Stribeck(Effect):
 
 @register
 class Viscous(Effect):
-    """Friction in proportion to speed, as a term of the bound like the others."""
+    """Friction proportional to speed, as a further term of the bound."""
 
     name = "viscous"
     stage = Stage.FRICTION
@@ -95,7 +95,7 @@ class Viscous(Effect):
     # more and fewer of its runs, which differ by 17 % (`friction_base` of m1 on four branches of github.com/Rhoban/bam)
     spread = {"viscous_friction": 0.15}
     secants = ({"viscous_friction": 0.01},)
-    fingerprint = "odd in velocity and in proportion to it"
+    fingerprint = "odd in velocity and proportional to it"
     confounders = ("quadratic_drag", "bearing_friction", "terminal_resistance", "torque_constant")
     separating_experiment = "three speeds, one of them fast; two temperatures"
 
@@ -115,7 +115,7 @@ class BearingFriction(Effect):
     parameters = (Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),)
     reads = ("radial_force",)
     secants = ({"bearing_friction": 5e-5},)
-    fingerprint = "odd in velocity, in proportion to speed and to the weight carried"
+    fingerprint = "odd in velocity, proportional to speed and to the carried weight"
     confounders = ("viscous", "quadratic_drag", "load_friction")
     separating_experiment = "one speed at two loads"
 
@@ -126,18 +126,18 @@ class BearingFriction(Effect):
 
 @register
 class AsymmetricFriction(Effect):
-    """Coulomb friction that is higher in one direction of motion, and as much lower in the other.
+    """Coulomb friction that is higher in one direction of motion and lower by the same amount in the other.
 
-    The mean of both is the friction of the other effects; the bound is zero where half the difference exceeds it. At
-    rest the direction is the one in which motor and load together push the joint.
+    The mean of both directions is the friction of the other effects; the bound is zero if half the difference exceeds
+    this mean. At rest, the direction is that of the combined torque of motor and load.
 
     Attributes:
-        rest: below this speed a joint counts as resting [rad/s].
+        rest: speed below which a joint counts as resting [rad/s].
     """
 
     name = "asymmetric_friction"
     stage = Stage.FRICTION
-    rank = 2  # what is less than nothing has to be known
+    rank = 2  # the other frictions must be known first, because the bound cannot be negative
     equation = "tau_fric += sign(w) a / 2, not below 0"
     source = "skewed teeth, worms and preloaded seals; range chosen by us, about that of Coulomb friction"
     parameters = (
@@ -146,7 +146,7 @@ class AsymmetricFriction(Effect):
     secants = ({"asymmetric_friction": 0.03}, {"asymmetric_friction": -0.03})
     fingerprint = "even in velocity and constant, like a current offset but only in motion"
     confounders = ("current_offset", "coulomb", "link_com")
-    separating_experiment = "slow triangle both ways in two attitudes; torque at rest"
+    separating_experiment = "slow triangles in both directions at two orientations of the base; torque at rest"
 
     rest: float = 0.001
 
@@ -167,7 +167,7 @@ class QuadraticDrag(Effect):
     source = "churning loss of a gear box; range chosen by us: at 3 rad/s as much as Coulomb friction"
     parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
     secants = ({"quadratic_drag": 0.005},)
-    fingerprint = "odd in velocity and growing faster than in proportion to it"
+    fingerprint = "odd in velocity and growing faster than linearly"
     confounders = ("viscous", "stribeck", "bearing_friction")
     separating_experiment = "three speeds, one of them fast"
 

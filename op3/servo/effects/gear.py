@@ -17,8 +17,8 @@ PASSIVE, POWER = 0, 2
 class DirectionalEfficiency(Effect):
     """Directional transmission efficiency (DTE): a gear has larger losses when it is driven from its output.
 
-    The passive form is the default: it loses the same torque as the printed rule while the joint moves, holds
-    the same range of loads at rest, and never adds energy. The form ``power`` depends on the direction of motion.
+    The default is the passive form: it has the same loss as the printed rule while the joint moves, holds the same
+    range of loads at rest, and never adds energy. The form ``power`` depends on the direction of motion.
 
     Attributes:
         form: ``passive``, a friction bound by the torques, our own; ``power``, one by the direction of motion, as
@@ -41,7 +41,7 @@ class DirectionalEfficiency(Effect):
     )
     secants = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
     fingerprint = (
-        "in proportion to the load where the load drives (lowering, braking, landing), none where the motor drives"
+        "proportional to the load where the load drives (lowering, braking, landing), zero where the motor drives"
     )
     confounders = ("load_friction", "directional_friction", "antagonistic_friction", "torque_constant", "payload")
     separating_experiment = (
@@ -59,10 +59,11 @@ class DirectionalEfficiency(Effect):
         if p.dte_form == PASSIVE:
             s.friction_bound += dte_passive_loss(motor, load, forward, backward)
             if motor_leads(motor, load):
-                # the loss falls with the motor torque when the joint gains speed: less of the motor's damping arrives
+                # the loss decreases with the motor torque as the joint accelerates, so less of the motor's damping is
+                # transmitted
                 s.damping *= 1.0 - (1.0 - forward) * np.sign(motor * s.velocity)
         elif p.dte_form == POWER:
-            # bristles of presliding tell the direction in which the teeth are strained, before the joint moves
+            # presliding bristles give the direction in which the teeth are strained before the joint moves
             direction = deflection(s) if p.bristle_compliance > 0.0 else s.velocity
             s.friction_bound += dte_power_loss(motor, load, direction, forward, backward)
         else:
@@ -82,7 +83,7 @@ class MixedLubrication(Effect):
 
     name = "mixed_lubrication"
     stage = Stage.GEAR
-    rank = 1  # of a loss that is known
+    rank = 1  # after the loss has been computed
     equation = "tau_loss *= 1 + b exp(-|w| / w_b)"
     source = (
         "after Pelchen, Schweiger & Otter (2002), mesh efficiency over speed, and Duclusaud et al. (2025), model M4,"
@@ -99,7 +100,7 @@ class MixedLubrication(Effect):
         "near_rest_loss": Usual(0.0, 1.0, 0.4, 3.0),
         "lubrication_velocity": Usual(0.5, 1.0, 0.5, 3.0, least=0.03),
     }
-    fingerprint = "odd in velocity and in proportion to the load where the load drives, only at low speed"
+    fingerprint = "odd in velocity and proportional to the load where the load drives, only at low speed"
     confounders = ("dte", "load_friction", "stribeck")
     separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.5 rad/s at two loads"
 

@@ -64,9 +64,9 @@ class GroundTilt(Effect):
         ModelEdit("opt.gravity", "option", "turn", "ground_roll", column=0),
     )
     secants = ({"ground_roll": 0.02}, {"ground_pitch": 0.02})
-    fingerprint = "a bias of roll, pitch and of all gravity torques, on this floor only"
+    fingerprint = "a bias of roll, pitch and all gravity torques, only on this floor"
     confounders = ("imu_mount", "com_offset", "left_right_asymmetry", "encoder_offset")
-    separating_experiment = "turn the robot by 180 degrees on the spot"
+    separating_experiment = "turn the robot by 180 degrees about the vertical"
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         floor = product(about(1, values["ground_pitch"]), about(0, values["ground_roll"]))

@@ -24,7 +24,7 @@ SOURCE = "Duclusaud et al. (2025), Extended Friction Models for the Physics Simu
 
 @register
 class LoadFriction(Effect):
-    """Friction in proportion to the torque that the gear passes on between motor and load.
+    """Friction proportional to the torque that the gear transmits between motor and load.
 
     Attributes:
         form: ``sum``: in proportion to what motor and load press together, as published. ``motor``: to the motor's
@@ -66,7 +66,7 @@ class LoadFriction(Effect):
 
 @register
 class DirectionalFriction(Effect):
-    """Friction to which the motor's torque and the load's contribute different shares."""
+    """Friction with different shares of the motor's torque and of the load's torque."""
 
     name = "directional_friction"
     stage = Stage.LOAD
@@ -110,7 +110,7 @@ class AntagonisticFriction(Effect):
         Parameter("external_square", "1/(N m)", 0.0, 5.0, 0.0, 0.0, "qe, if the motor's torque is larger", least=0.0),
     )
     secants = ({"external_square": 0.2}, {"motor_square": 0.2})
-    fingerprint = "near rest only, growing with the square of the weaker torque where motor and load oppose each other"
+    fingerprint = "only near rest; grows with the square of the weaker torque where motor and load oppose each other"
     confounders = ("dte", "load_friction", "directional_friction", "stribeck")
     separating_experiment = "hold test at three loads: the width of the hysteresis bends with load"
 

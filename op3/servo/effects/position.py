@@ -47,7 +47,7 @@ class CableSpring(Effect):
     )
     memory = ("pull",)
     secants = tuple({"cable_stiffness": 0.05, "cable_rest_angle": angle} for angle in (-1.0, 0.0, 1.0))
-    fingerprint = "a function of the angle, the same in both directions, whatever the robot's attitude"
+    fingerprint = "a function of the angle, the same in both directions and at all orientations of the robot"
     confounders = ("link_com", "com_offset", "encoder_offset", "current_offset")
     separating_experiment = "turn the base by a quarter: gravity turns, a spring does not"
     scopes = ("joint", "side")
@@ -65,10 +65,10 @@ class CableSpring(Effect):
 
 @register
 class PositionFriction(Effect):
-    """Friction that is higher at some angles than at others: a bent shaft, a worn tooth, a rubbing cable.
+    """Friction that depends on the angle, for example because of a bent shaft, a worn tooth or a rubbing cable.
 
     Attributes:
-        periods: of the friction per turn of the joint.
+        periods: number of friction periods per turn of the joint.
     """
 
     name = "position_friction"
@@ -82,9 +82,9 @@ class PositionFriction(Effect):
     secants = tuple(
         {"position_friction": 0.05, "position_friction_angle": angle} for angle in (0.0, pi / 2, pi, -pi / 2)
     )
-    fingerprint = "odd in velocity, with a width of the hysteresis loop that changes over the angle"
+    fingerprint = "odd in velocity; the width of the hysteresis loop changes with the angle"
     confounders = ("coulomb", "load_friction", "dte", "cogging")
-    separating_experiment = "slow sweep over the whole range at two loads or two attitudes"
+    separating_experiment = "slow sweep over the whole range at two loads or two orientations of the base"
     scopes = ("joint",)
 
     periods: float = 1.0

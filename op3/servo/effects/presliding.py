@@ -31,7 +31,7 @@ class LuGre(Effect):
     are equal.
 
     Attributes:
-        damping_ratio: of the rotor alone on its bristle; without damping a held joint oscillates.
+        damping_ratio: damping ratio of the rotor alone on its bristle; without damping a held joint oscillates.
     """
 
     name = "lugre"

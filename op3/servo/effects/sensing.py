@@ -31,7 +31,7 @@ class EncoderOffset(Effect):
 
 @register
 class EncoderNonlinearity(Effect):
-    """The encoder's error depends on the angle, as with a magnet off its axis.
+    """The encoder's error depends on the angle, for example because of an off-centre magnet.
 
     Attributes:
         velocity: ``bent``: the servo computes its velocity from this reading. ``apart``: the velocity comes from the
@@ -72,7 +72,7 @@ class EncoderNonlinearity(Effect):
 
 @register
 class VelocityFilter(Effect):
-    """The servo filters the velocity that it reports; exact for a velocity that changes linearly.
+    """The servo filters its reported velocity; the discretisation is exact for linearly changing velocity.
 
     Any velocity estimate has a mean delay Tw, and the variance of its impulse response is Tw^2 (1 - 2 a). One lag has
     the shape a = 0, two equal lags in series 1/4, a difference of angles 1/3, a pure delay 1/2.
@@ -121,7 +121,7 @@ class VelocityFilter(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The filter starts settled, as after a long time at constant velocity."""
+        """The filter starts in steady state, as after a long time at constant velocity."""
         s.velocity_filter_filtered = s.velocity_filter_velocity = s.measured_velocity
         s.velocity_filter_slope = 0.0
         s.velocity_filter_knows = 1.0

@@ -25,7 +25,7 @@ MOST_BEHIND = 0.5
 """At most this share of the armature turns with the link."""
 
 LEAST_COMPLIANCE = 1e-6
-"""Compliance of a rigid transmission, if neither effect acts [rad/(N m)]."""
+"""Compliance of a rigid transmission, without both effects [rad/(N m)]."""
 
 
 @part
@@ -53,7 +53,7 @@ def rotor_angle(p, position, load_torque):
 
 @part
 def rotor_velocity(s):
-    """At the end of the last step; friction stops the rotor, it does not reverse it."""
+    """Velocity at the end of the last step; friction stops the rotor but does not reverse it."""
     velocity = s.rotor_velocity + s.rotor_gain * s.velocity
     return 0.0 if s.rotor_slips * velocity < 0.0 else velocity
 
@@ -63,7 +63,8 @@ class Backlash(Effect):
     """Backlash between gear and link: the rotor crosses the gap freely when the transmitted torque changes sign.
 
     Attributes:
-        damping_ratio: of the rotor on the contact's stiffness, with the link at rest; half of the loss factor.
+        damping_ratio: damping ratio of the rotor on the contact's stiffness, with the link at rest; half of the loss
+            factor.
     """
 
     name = "backlash"
@@ -105,7 +106,7 @@ class Backlash(Effect):
 
     @staticmethod
     def reset(s, p):
-        """The rotor rests against the flank that carries the load, and moves with the link."""
+        """Start with the rotor on the flank that carries the load and moving with the link."""
         if between(p):
             s.rotor_angle = rotor_angle(p, s.position, s.load_torque) - p.timestep * s.velocity
             s.rotor_velocity = s.velocity
@@ -139,7 +140,7 @@ class Backlash(Effect):
         side = np.sign(ends) if abs(ends) > half_gap else 0.0
         bent = stiffness * (apart - side * half_gap) - steadying * (velocity - link_velocity)
         if half_gap != 0.0 and not side * (bent + grip * (free - link_velocity)) > 0.0:
-            bent, grip = 0.0, 0.0  # it touches neither
+            bent, grip = 0.0, 0.0  # it touches neither flank
         # the rotor's velocity after the step: friction holds it, or opposes it
         total = inertia + step * grip
         impulse = inertia * velocity + step * (torque - bent)
@@ -167,8 +168,8 @@ class Backlash(Effect):
     def balance(s, p, torque, rests):
         """Place the rotor on the flank that carries the torque, deflected by it, and let it move with the link.
 
-        On a contact this stiff, the noise of a measured angle would be a large torque. With almost no load the rotor
-        keeps its angle.
+        With a contact this stiff, noise of the measured angle would become a large torque. With almost no load the
+        rotor keeps its angle.
         """
         if not between(p):
             return torque
@@ -185,7 +186,8 @@ class Compliance(Effect):
     """Elasticity of gear train and bracket between rotor and link; in series with backlash if `backlash` is also on.
 
     Attributes:
-        damping_ratio: of the rotor on the gear train's stiffness, with the link at rest; half of the loss factor.
+        damping_ratio: damping ratio of the rotor on the gear train's stiffness, with the link at rest; half of the loss
+            factor.
     """
 
     name = "compliance"

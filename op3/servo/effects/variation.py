@@ -14,7 +14,7 @@ FRICTION = ("coulomb_friction", "viscous_friction", "static_friction_excess")
 
 @register
 class FrictionDrift(Effect):
-    """Friction without load decreases while the grease warms up, towards a share of its initial value."""
+    """Load-independent friction decreases towards a share of its initial value while the grease warms up."""
 
     name = "friction_drift"
     stage = Stage.FRICTION
@@ -64,7 +64,7 @@ class LeftRightAsymmetry(Effect):
         Parameter("torque_asymmetry", "-", -0.2, 0.2, 0.0, 0.0, "b", per_joint=False, least=-0.9, most=0.9),
     )
     secants = ({"friction_asymmetry": 0.15}, {"torque_asymmetry": 0.05})
-    fingerprint = "mirrored motions leave residuals that differ, and whose sum is zero"
+    fingerprint = "mirrored motions leave different residuals whose sum is zero"
     confounders = ("imu_mount", "ground_tilt", "coulomb", "torque_constant")
     separating_experiment = "mirrored motions, and the robot turned by 180 degrees on the spot"
 
