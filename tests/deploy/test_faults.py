@@ -141,7 +141,7 @@ def lean(rig, end=np.inf):
 
 ENDS = {
     # a servo's own limit is 80 C
-    "hot": (Overheat(KNEE, 1.0, rate=14.0), ExitCode.TEMPERATURE, "l_knee has 72 C; let it cool", None),
+    "hot": (Overheat(KNEE, 1.0, rate=14.0), ExitCode.TEMPERATURE, "l_knee is at 72 C; let it cool", None),
     # ten readings
     "low": (BrownOut(START, voltage=9.8), ExitCode.VOLTAGE, "9.8 V", 0.08),
     "at the limit": (BrownOut(START, voltage=10.0), ExitCode.VOLTAGE, "10.0 V", 0.08),
@@ -186,7 +186,7 @@ def test_one_servo_that_restarts_is_named(tmp_path):
     rig.robot.at(START, lambda: servo.power(True, START))
     outcome = go(rig)
     assert outcome.code == ExitCode.SERVO_SHUTDOWN
-    assert "restarted by itself: l_knee" in outcome.reason
+    assert "restarted unexpectedly: l_knee" in outcome.reason
     assert_released(rig, outcome)
 
 
