@@ -10,7 +10,7 @@ from op3.rollout.match import as_if
 from op3.rollout.schema import CHANNELS
 
 _ZERO = 0.1  # no current sensor is so far off at nothing [A], nor by 2 % of what it reads; 0.03 in sound logs
-_EXPLAINED = "two clocks, position against command, position without its command, gains"
+_EXPLAINED = "two clocks, position against command, position without its command, torque lost, gains"
 
 
 @check("current against position error", unless=_EXPLAINED)

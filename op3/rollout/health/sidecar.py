@@ -15,7 +15,7 @@ _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12),
 """Unit, smallest, largest and typical value of the metadata of a bench."""
 
 _CHARGE = (0.7, 1.3)  # voltage over that of the battery: cells of 3.7 V give 3.0 to 4.2 V, and cables take some of it
-_FULL = 1.35  # supplies exceed a servo's limits at most by so much: full batteries, small servos run hard (1.22)
+_FULL = 1.25  # supplies exceed a servo's limits at most by so much: full batteries, small servos run hard (1.22)
 _HOTTEST = 95.0  # no servo works at such a temperature [C]: the files of makes let none get hotter
 _WEIGHS = (0.7, 4.0)  # what a servo pushes with over what its pendulum weighs: 0.86 to 2.7 in 108 recordings
 

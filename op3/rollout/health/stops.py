@@ -19,6 +19,7 @@ _PERIOD = 0.02  # time from row to row in which motions are looked at [s]
 _UNRELATED = 0.5  # no correlation with its command at the best delay is below: 0.57 in 3,400 joints of sound logs
 _LETS_GO = 0.14  # shortest time for which a joint that lets go is reported [s]
 _RECENT = (0.12, 0.25)  # a joint that follows, quick or slow, is between its least and largest target of that [s]
+_NONE = 0.1  # a current is none below so much of what the control law gives
 _PUSHES = 0.3  # a servo that gives so much of its usual current has not let go, but friction or an obstacle holds it
 
 _FAR, _TIMES = 0.1, 3.0  # a joint that lets go is so far beyond these [rad], and so many times as far as otherwise
@@ -161,13 +162,15 @@ def _sensors_stand(view: View, rows: int) -> Found:
             through = view.position if trunk else view.position[:, [index]]
             path = detrend(gyroscope[run], axis=0) if key == ORIENTATION else through[run]
             moved = np.ptp(path, axis=0).max() > (0.05 if key == ORIENTATION else 0.2)
-            driven, most = view.driven[run, index].any(), np.abs(part).max()
+            driven, most = view.driven[run, index].mean() > 0.1, np.abs(part).max()
             if length == len(same):  # a robot that does not turn has no rates, and keeps its orientation
                 dead = {CURRENT: moved and driven, ORIENTATION: turns, RATE: tilted, FORCE: zero or tilted}
                 problem, when, stuck = f"{name} stays at {{:.4g}} in every row", (), dead.get(key, zero)
             else:
                 size, same[run] = abs(part[first, 0]), False
-                limited = key == CURRENT and (size == most or (size == 0 and not driven))
+                error = np.abs(view.error[:, index if key == CURRENT else 0])
+                limp = not driven or np.median(error[run]) > _TIMES * np.median(error)  # reported as such
+                limited = key == CURRENT and (size == most or (size == 0 and limp))
                 longer = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
                 stuck = length > 2 * rows and moved and not limited and longer and key not in (VOLTAGE, TEMPERATURE)
                 problem = f"{name} keeps the same values for {length} rows, while the robot moves"
@@ -192,11 +195,11 @@ def turned_by_gyroscope(view: View) -> np.ndarray:
     return integral(view.time, rates - np.median(rates, axis=0))
 
 
-@check("torque lost", rows=50, unless=f"{_RELATED}, time jumps, stale readings")
+@check("torque lost", rows=50, unless=f"{_RELATED}, lost turns, time jumps, stale readings")
 def lets_go(view: View) -> Found:
     """For a while a joint has no current although its error requires one; or, without a measured current, it stays far
-    beyond its recent targets. The latter is not reported within 0.1 rad of these targets, if other joints are displaced
-    too, or for a single servo, which friction may hold."""
+    beyond its recent targets. The latter is not reported within 0.1 rad of these targets, for a single servo, which
+    friction may hold, or if another joint of a robot on its feet is displaced too."""
     if view.metadata.fallen:
         return
     reported = {*commands_stop(view)}
@@ -204,9 +207,13 @@ def lets_go(view: View) -> Found:
         if gain is None:
             continue
         for joint in range(len(view.joints)):
-            law = np.column_stack([-gain[:, joint] * view.error[:, joint], view.speed[:, joint]])
-            on, given = view.driven[:, joint], values[:, joint]
-            wanted = law @ fitted(law[on], given[on])
+            speed, given = view.speed[:, joint], values[:, joint]
+            law = np.column_stack([-gain[:, joint] * view.error[:, joint], speed])
+            # at its free speed towards the target a servo takes no current
+            fast = (view.error[:, joint] * speed < 0) & (np.abs(speed) > 0.5 * np.quantile(np.abs(speed), 0.98))
+            on = view.driven[:, joint] & ~fast
+            some = on & (np.abs(given) > _NONE * np.quantile(np.abs(given), 0.95))  # the law holds where it has torque
+            wanted = law @ fitted(law[some], given[some])
             for first, last in _without(given, wanted, on, view.interval):
                 reported.add(joint)
                 worst = first + int(np.abs(wanted[first : last + 1]).argmax())
@@ -222,7 +229,7 @@ def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval
     size = np.abs(wanted)
     if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
         return []
-    none = driven & (size > asked) & (np.abs(given) < 0.1 * size)
+    none = driven & (size > asked) & (np.abs(given) < _NONE * size)
     first, length = longest_run(none)
     rest = driven & ~none & (size > 0.25 * asked)
     if length < max(3, round(_LETS_GO / interval)) or rest.sum() <= 10:
@@ -236,7 +243,6 @@ def _astray(view: View, reported: set[int]) -> Found:
     period = stride * view.interval
     if len(angle) < 50 or period > 2 * _PERIOD or len(view.joints) == 1:
         return  # friction holds a lone servo with a low gain as far, and no other joint says that it should go on
-    most_shaken = len(view.joints) / 2 if view.metadata.mount in HOLDING else 1
     for recent in _RECENT:
         past = max(1, round(recent / period))
         before = {"size": past + 1, "axis": 0, "mode": "nearest", "origin": past // 2}  # a row, and so many before it
@@ -248,11 +254,15 @@ def _astray(view: View, reported: set[int]) -> Found:
         for joint in (j for j in range(len(view.joints)) if j not in reported):
             found, usual = _let_go(angle[:, joint], off[:, joint], switched[:, joint], period, past)
             for first, end, far in found[:1]:
-                given = [np.abs(values[::stride, joint]) for _, values, _ in view.drives]
-                holds = any(np.median(size[first:end]) > _PUSHES * np.median(size) for size in given)
-                shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken
-                if holds or shaken:
-                    continue  # a push, or on its feet the weight
+                rows = np.s_[first * stride : end * stride, joint]
+                holds = False
+                for _, values, gain in view.drives:
+                    asked = 0.0 if gain is None else np.median(np.abs(gain[rows] * view.error[rows]))
+                    least = max(_PUSHES * np.median(np.abs(values[:, joint])), _NONE * asked)
+                    holds |= bool(np.median(np.abs(values[rows])) > least)
+                shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).any()
+                if holds or (shaken and view.metadata.mount not in HOLDING):
+                    continue  # a push, or the weight
                 reported.add(joint)
                 more = f", and {len(found) - 1} times more," if len(found) > 1 else ""
                 problem = f"for {(end - first) * period:.2g} s{more} the joint stays {far:.2g} rad beyond all its "

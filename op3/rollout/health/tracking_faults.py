@@ -36,7 +36,7 @@ def exchanged(view: View) -> dict[int, int]:
     return {joint: int(nearest[joint]) for joint in np.flatnonzero(found).tolist()}
 
 
-@check("position against command")
+@check("position against command", unless="lost turns")
 def command(view: View) -> Found:
     """Position and command differ in unit or sign, belong to different joints, or the command is relative."""
     circles, wrong = exchanged(view), not view.metadata.fallen  # limbs of a robot that falls are flung about
