@@ -126,24 +126,16 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # its bound speaks
     turned = integral(view.time[rows], rate)
     said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
-    moves = asked > 0.4 or (asked > 0.1 and _follows_elsewhere(view, joint, rows, asked, dead))
+    others = np.flatnonzero(np.ptp(view.position, axis=0)) if dead and asked > 0.1 else []
+    command, error = view.command[:, others], view.error[:, others]  # of joints that follow by less than it should
+    follow = error.size >= 20 and view.driven[:, others].all() and np.ptp(command, axis=0).max() > 0.7 * asked
+    moves = asked > 0.4 or (follow and asked > 1.5 * np.ptp(error, axis=0).max())
     if moves or said > 0.5:
         what = f"command moves by {asked:.3g} rad" if moves else f"velocity amounts to {said:.3g} rad in 0.5 s"
         problem = f"position stays at {position[first] + 0.0:.4g} rad while its {what}"
         all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
         remedy, aside = "check whether the joint is blocked or its sensor is dead", dead and not all_dead
         yield view.found((POSITION, joint), problem, remedy, first, last, aside=aside, error=all_dead)
-
-
-def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead: bool) -> bool:
-    """Whether the command of a joint that stood moved by far more than the joint's errors at similar commands, within
-    which a weak servo may stick. If the joint stands throughout, the errors of the other joints are used."""
-    moving = np.ones(len(view.time), bool)
-    moving[stands] = dead
-    joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
-    command, error, driven = (table[moving][:, joints] for table in (view.command, view.error, view.driven))
-    enough = error.size >= 20 and driven.all() and np.ptp(command, axis=0).max() > 0.7 * asked
-    return bool(enough and asked > 1.5 * np.ptp(error, axis=0).max())
 
 
 def _sensors_stand(view: View, rows: int) -> Found:

@@ -82,12 +82,11 @@ def command(view: View) -> Found:
         other, error = view.joints[leader[joint]] if swapped[joint] else None, wrong
         turns = ", and one sign is reversed" if signed[joint, leader[joint]] < 0 else ""
         moves = asked[joint] > 0.05
-        if moves and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
-            unit = _unit(view, joint, ratio) if ratio > 0 else None
+        far = ratio > _MOST or ratio < 1 / 30
+        if moves and sure > (0.95 if far else 0.97) and (far or ratio > _MORE):
+            unit, error = _unit(view, joint, ratio) if far and ratio > 0 else None, wrong and far
             problem = f"the position moves {ratio:.3g} times as far as its command{f', as if {unit}' if unit else ''}"
             remedy = "convert both to radians (a factor of 57.3 means degrees)" if unit else _GEAR
-        elif moves and sure > 0.97 and ratio > _MORE:
-            problem, remedy, error = f"the position moves {ratio:.3g} times as far as its command", _GEAR, False
         elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late[joint]:
             problem, remedy = "the position moves against its command: one of the two signs is reversed", _SIGNS
             problem += f", or its column was swapped with that of {other}" if other else ""
