@@ -245,3 +245,15 @@ def test_benches_of_real_servos_let_nothing_go():
     assert not [
         one.error(None) for one in found if one.check in ("torque lost", "constant offset", "supply and temperature")
     ]
+
+
+@pytest.mark.parametrize(("measured", "severity"), [(True, ""), (False, "warning")])
+def test_soft_joints_that_stand_where_another_s_command_is_are_not_swapped(measured, severity):
+    """On the feet of a robot the weight displaces them, and the current of each is that of its own error; a log without
+    currents is not refused."""
+    sways = 0.02 * np.sin(2 * TIME[:, None] + np.arange(4))
+    position, target = sways + np.array([1.1, 0.5, 0.2, -0.3]), sways + np.array([0.6, 1.0, 0.2, -0.3])
+    gain = np.full(target.shape, 1.0)
+    current = {"command__p_gain": gain, "joint__current": rounded(target) - rounded(position)} if measured else {}
+    found = [one for one in examine(log(target, position, mount="floor", **current)) if "swapped" in one.problem]
+    assert {one.severity for one in found} == {severity} - {""}

@@ -19,6 +19,7 @@ _PERIOD = 0.02  # time from row to row in which motions are looked at [s]
 _UNRELATED = 0.5  # no correlation with its command at the best delay is below: 0.57 in 3,400 joints of sound logs
 _LETS_GO = 0.14  # shortest time for which a joint that lets go is reported [s]
 _RECENT = (0.12, 0.25)  # a joint that follows, quick or slow, is between its least and largest target of that [s]
+_STICKS = 1.0  # so far commands move while the weight on its feet holds a soft joint [rad]; 0.73 in policies' logs
 _NONE = 0.1  # a current is none below so much of what the control law gives
 _PUSHES = 0.3  # a servo that gives so much of its usual current has not let go, but friction or an obstacle holds it
 
@@ -129,7 +130,9 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     others = np.flatnonzero(np.ptp(view.position, axis=0)) if dead and asked > 0.1 else []
     command, error = view.command[:, others], view.error[:, others]  # of joints that follow by less than it should
     follow = error.size >= 20 and view.driven[:, others].all() and np.ptp(command, axis=0).max() > 0.7 * asked
-    moves = asked > 0.4 or (follow and asked > 1.5 * np.ptp(error, axis=0).max())
+    moves = asked > (0.4 if view.metadata.mount in HOLDING else _STICKS) or (
+        follow and asked > 1.5 * np.ptp(error, axis=0).max()
+    )
     if moves or said > 0.5:
         what = f"command moves by {asked:.3g} rad" if moves else f"velocity amounts to {said:.3g} rad in 0.5 s"
         problem = f"position stays at {position[first] + 0.0:.4g} rad while its {what}"
@@ -223,11 +226,10 @@ def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval
         return []
     none = driven & (size > asked) & (np.abs(given) < _NONE * size)
     first, length = longest_run(none)
-    rest = driven & ~none & (size > 0.25 * asked)
-    if length < max(3, round(_LETS_GO / interval)) or rest.sum() <= 10:
+    if length < max(3, round(_LETS_GO / interval)) or (driven & ~none & (size > 0.25 * asked)).sum() <= 10:
         return []
-    usual, around = np.median(np.abs(given[rest]) / size[rest]), runs(none | (np.abs(given) < 0.1 * asked)).tolist()
-    return [(start, end - 1) for start, end in around if start <= first < end and usual > 0.3]
+    around = runs(none | (np.abs(given) < _NONE * asked)).tolist()
+    return [(start, end - 1) for start, end in around if start <= first < end]
 
 
 def _astray(view: View, reported: set[int]) -> Found:
@@ -249,9 +251,8 @@ def _astray(view: View, reported: set[int]) -> Found:
                 rows = np.s_[first * stride : end * stride, joint]
                 holds = False
                 for _, values, gain in view.drives:
-                    asked = 0.0 if gain is None else np.median(np.abs(gain[rows] * view.error[rows]))
-                    least = max(_PUSHES * np.median(np.abs(values[:, joint])), _NONE * asked)
-                    holds |= bool(np.median(np.abs(values[rows])) > least)
+                    asked = _PUSHES * values[:, joint] if gain is None else _NONE * gain[rows] * view.error[rows]
+                    holds |= bool(np.median(np.abs(values[rows])) > np.median(np.abs(asked)))
                 shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).any()
                 if holds or (shaken and view.metadata.mount not in HOLDING):
                     continue  # a push, or the weight
