@@ -10,7 +10,6 @@ from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.keys import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, TEMPERATURE, VELOCITY, VOLTAGE
 from op3.rollout.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
 from op3.rollout.metadata import HOLDING
-from op3.rollout.schema import CHANNELS
 
 _SHAKEN = 0.1  # accelerations of a trunk that is held spread by no more [m/s2]; 0.08 in 179 logs, and 0.44 on the feet
 _SETTLES = 0.5  # a servo has reached a target that stands [s]
@@ -119,23 +118,18 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     last, dead = first + length, length >= len(position) - 2
     if length * view.interval <= 0.5:
         return
-    rows, rates, half = slice(first, last + 1), view.get(VELOCITY), view.stride(0.5)
+    rows = slice(first, last + 1)
     # how far, not how much: a soft joint rightly stands while a policy dithers about it; and time to act on it
     heeded = slice(first, max(last - round(0.2 / view.interval), first) + 1)
     asked = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
-    rate = np.zeros(length + 1) if rates is None else rates[rows, joint]
-    rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # its bound speaks
-    turned = integral(view.time[rows], rate)
-    said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
     others = np.flatnonzero(np.ptp(view.position, axis=0)) if dead and asked > 0.1 else []
     command, error = view.command[:, others], view.error[:, others]  # of joints that follow by less than it should
     follow = error.size >= 20 and view.driven[:, others].all() and np.ptp(command, axis=0).max() > 0.7 * asked
     moves = asked > (0.4 if view.metadata.mount in HOLDING else _STICKS) or (
         follow and asked > 1.5 * np.ptp(error, axis=0).max()
     )
-    if moves or said > 0.5:
-        what = f"command moves by {asked:.3g} rad" if moves else f"velocity amounts to {said:.3g} rad in 0.5 s"
-        problem = f"position stays at {position[first] + 0.0:.4g} rad while its {what}"
+    if moves:
+        problem = f"position stays at {position[first] + 0.0:.4g} rad while its command moves by {asked:.3g} rad"
         all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
         remedy, aside = "check whether the joint is blocked or its sensor is dead", dead and not all_dead
         yield view.found((POSITION, joint), problem, remedy, first, last, aside=aside, error=all_dead)
