@@ -88,7 +88,12 @@ class DataFile:
             return kind.model_validate(self.content)
         except ValidationError as error:
             place, *_, problem = first_fault(error, kind)
+            if place[0] not in self.content and place[1:2]:  # a part of another entry, of the same names
+                place = next(((field, *place[1:]) for field in self.content if self._has(field, place[1])), place)
             raise self.fault(place, str(problem)) from None
+
+    def _has(self, field: str, name: str | int) -> bool:
+        return isinstance(self.content[field], dict) and name in self.content[field]
 
 
 def _step(node: yaml.Node | None, step: str | int) -> tuple[int, yaml.Node] | None:

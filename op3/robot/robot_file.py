@@ -276,11 +276,14 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         name = list(content.joints)[given.index(False)]
         raise file.fault(("joints", name), "has no bus_id although other joints have one; add a unique bus_id")
     for name, entry in content.unpowered.items():
-        place = ("unpowered", name)
+        place = ("joints", name)
         if name not in hinges:
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
             raise file.fault(place, "is a ball joint in the model: remove it from the model, which fixes the part")
+        low, high = model.joint(name).range
+        if entry.held is not None and model.joint(name).limited and not low <= entry.held <= high:
+            raise file.fault((*place, "held"), f"is {entry.held:g}, beyond the model's {low:.4g} to {high:.4g}")
         if entry.coupled and entry.coupled.joint not in content.joints:
             raise file.unknown((*place, "coupled"), "joint with a servo", entry.coupled.joint, content.joints)
     known = {*content.joints, *content.unpowered, *coupled}

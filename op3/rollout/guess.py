@@ -14,7 +14,7 @@ from op3.rollout.units import UNITS, canonical
 _SPELLINGS: dict[str, str] = {
     "command/position": "target goal command commands commanded cmd desired des ref reference setpoint action actions"
     " ctrl control",
-    "joint/velocity": "velocity velocities vel speed speeds qvel dq qd dps rpm",
+    "joint/velocity": "velocity velocities vel speed speeds qvel dq qd omega dps rpm",
     "joint/current": "current currents cur amps ma",
     "joint/duty": "pwm duty",
     "joint/load": "torque torques effort efforts tau load",
@@ -28,7 +28,7 @@ _SPELLINGS: dict[str, str] = {
 _WORDS = {word: normal_key(name) for name, words in _SPELLINGS.items() for word in words.split()}
 """Words for the measured quantity; if a name contains several, the first in this list counts."""
 
-_SENSED = ("present", "measured", "meas", "actual", "feedback", "raw")
+_SENSED = ("present", "measured", "meas", "actual", "act", "feedback", "raw")
 """Words for a measured value; without a word for a quantity, the value is a position."""
 
 _NO_POSITIONS = {normal_key(f"joint/{kind}") for kind in ("velocity", "current", "duty", "load", "voltage")}
@@ -41,8 +41,8 @@ _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent"
 _UNITS |= {"ticks": "counts of 4096 a turn", "counts": "counts of 4096 a turn"}
 _UNITS |= {"°": "deg", "degs": "deg/s", "radps": None, "rads": None}
 _SUFFIXES = {"a": None, "v": None, "c": None, "degc": None, "nm": None, "est": None, "pct": "percent"}
-_FILLERS = re.split(" ", "joint joints present measured meas actual raw motor i s value observation imu of main")
-_TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times")
+_FILLERS = re.split(" ", "joint joints present measured meas actual act raw motor i s value observation imu of main")
+_TIMES = ("time", "timestamp", "t", "stamp", "secs", "seconds", "times", "date", "datetime")
 
 
 def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
@@ -67,7 +67,7 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
     if len(words) > 2 and lower[-1] in _SUFFIXES and any(word in _WORDS for word in lower[:-1]):
         found = guess(name[: name.rindex(words[-1])].rstrip("_ .-/"), joints)
         if found and found.name and found.name.partition(".")[0] not in ("joint", "servo"):
-            return dataclasses.replace(found, unit=found.unit or _SUFFIXES[lower[-1]])
+            return dataclasses.replace(found, unit=found.unit or _fitting(found.name, _SUFFIXES[lower[-1]]))
     unit = next((_UNITS[word] for word in lower if word in _UNITS), None)
     rate = "deg/s" if unit == "deg" else unit
     if lower and lower[0] in _TIMES:
@@ -88,12 +88,16 @@ def guess(name: str, joints: Sequence[str] = ()) -> Column | None:
         named = max((one for one in joints if f"_{one.lower()}_" in whole), key=len, default=None)
         joint = named or _joint("_".join(w for w in words if w.lower() not in known), joints)
         column = CHANNELS[_WORDS.get(word, normal_key("joint/position"))].column.format(joint=joint)
-        if column.endswith("temperature") and unit == "deg":  # of degC
-            unit = None
-        unit = rate if column.endswith("velocity") else unit
+        unit = _fitting(column, rate if column.endswith("velocity") else unit)
         return Column(column, unit, why=f"{word!r} in {name!r}")
     joint = _joint(name, joints) if joints else ""
     return Column(f"{joint}.position", unit, why=f"{name!r} names a joint") if joint in joints else None
+
+
+def _fitting(name: str, unit: str | None) -> str | None:
+    """The unit, if the quantity of a column can have it: not percent of an angle, or the deg of degC."""
+    known = place(name)
+    return unit if known and unit in UNITS.get(known[0].quantity.unit, {}) else None
 
 
 def _of_path(name: str) -> str:
@@ -114,7 +118,7 @@ def _of_path(name: str) -> str:
         return name
     index = re.search(r"\d+(?=\]?$)", parts[-1])
     own = next((part for part, is_about in zip(parts[::-1], about[::-1], strict=True) if not is_about), "")
-    told = "command " if commands & said and not {*_SENSED} & said else ""
+    told = "command " if commands & said and not {*_SENSED} & said else "error " if "error" in said else ""
     return f"{index[0] if index and about[-1] else own} {told}{kinds[0]}"
 
 
@@ -143,6 +147,14 @@ def guess_all(names: Iterable[str], joints: Sequence[str] = ()) -> dict[str, Col
         if column.name is not None and taken.setdefault(column.name, name) != name:
             column = Column(None, why=f"{taken[column.name]!r} already has this meaning")
         meanings[name] = column
+    measured, asked = (
+        {key.rpartition(".")[0] for key in taken if key and key.endswith(end)} for end in (".position", ".target")
+    )
+    for name in [name for name, column in meanings.items() if column.name is None and " quantity" in column.why]:
+        bare = guess(f"pos {name}", joints)  # the name of a joint that has a target is its position
+        if bare and bare.name not in taken and str(bare.name).rpartition(".")[0] in asked - measured:
+            meanings[name] = dataclasses.replace(bare, why=f"{name!r} names a joint")
+            taken[bare.name] = name
     placed = {name: place(column.name) for name, column in meanings.items() if column.name}
     groups = {name: known[1] for name, known in placed.items() if known and known[0].axes == "joint"}
     moved = {joint for name, joint in groups.items() if placed[name][0].required}  # pyright: ignore

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,13 @@ from op3.rollout.read import reader_of
 from op3.rollout.readers.reader import Column, Recording
 from op3.rollout.robot_log import called, in_its_terms
 from op3.rollout.schema import place
+from op3.rollout.units import UNITS
+
+Proposal = tuple[dict[str, Any], dict[str, Column], list[str], set[str]]
 
 
-def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[str, Column], list[str]]:
-    """Proposed metadata and column meanings of a log, and doubts about them.
+def propose(path: Path, robot: str | None = None) -> Proposal:
+    """Proposed metadata and column meanings of a log, doubts about them, and the columns with doubtful units.
 
     Args:
         path: Path of the log.
@@ -31,7 +34,7 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
     """
     found = reader_of(path).read(path)[0]
     if not isinstance(found, Recording):
-        return found.metadata.to_dict(), {}, []
+        return found.metadata.to_dict(), {}, [], set()
     known = load_robot(robot) if robot else None
     columns = guess_all([n for stream in found.streams for n in stream.columns], list(called(known)) if known else ())
     columns |= {name: column for name, column in found.columns.items() if name in columns}
@@ -51,7 +54,9 @@ def propose(path: Path, robot: str | None = None) -> tuple[dict[str, Any], dict[
         # its conventions are in the columns
         about |= {"joints": [joint for joint in known.joints if joint in there], "robot_file": known.reference}
     about = {name: value for name, value in about.items() if value not in (None, {}, [])}
-    return about, columns, doubts + guessed
+    reasons = {found.columns[one.column].why for one in found.doubts if one.column in found.columns}
+    doubted = {n for n, column in found.columns.items() if column.why in reasons and columns.get(n) == column}
+    return about, columns, doubts + guessed, doubted
 
 
 def _in_counts(
@@ -83,10 +88,12 @@ def _in_counts(
             found[name] = dataclasses.replace(column, unit=size, offset=offset, why=why)
         elif make and kind[name] == "velocity" and column.unit is None and _whole(values[name]):
             found[name] = dataclasses.replace(column, unit=make.counts.velocity.si, why=why)
-    if robot is not None:
-        return found, []
     others = "those of a servo with 1024 counts in 300 degrees, such as XL-320, AX-12 or SCS0009"
     assumed = f"{others}, with values near the middle" if small else f"{unit}, not {others}"
+    if robot is not None:
+        sizes = [found[name].unit for name in chosen]
+        fine = small and any(isinstance(size, float) and size < UNITS["rad"][unit] for size in sizes)
+        return found, [f"{why} look like {others}, but {robot.name} has other servos"] if fine else []
     return found, [f"{why} are assumed to be {assumed}; write `unit:` if the servo's unit differs"]
 
 
@@ -127,8 +134,14 @@ def _of_robot(column: Column, robot: Robot) -> Column:
     return Column(name, None if size == 1.0 else size, 1 if sign == 1 else -1, offset, why)
 
 
-def as_yaml(metadata: dict[str, Any], columns: dict[str, Column], doubts: Sequence[str] = ()) -> str:
-    """The text of the YAML beside the log, which the user can correct."""
+def as_yaml(
+    metadata: dict[str, Any],
+    columns: dict[str, Column],
+    doubts: Sequence[str] = (),
+    doubted: Collection[str] = (),
+) -> str:
+    """The text of the YAML beside the log, which the user can correct. Doubted columns are comments, so that the reader
+    decides their units again, for example after a missing file was added."""
     options: dict[str, Any] = dict(default_flow_style=True, width=10**9, allow_unicode=True, sort_keys=False)
     lines = [yaml.safe_dump({name: value}, **options).strip()[1:-1] for name, value in metadata.items()]
     if columns:
@@ -137,5 +150,5 @@ def as_yaml(metadata: dict[str, Any], columns: dict[str, Column], doubts: Sequen
     for name, column in columns.items():
         entry = {k: v for k, v in dataclasses.asdict(column).items() if k != "why" and v != usual[k]}
         written = yaml.safe_dump({name: entry or None}, **options).strip()[1:-1]
-        lines.append(f"  {written}" + (f"  # guessed: {column.why}" if column.why else ""))
+        lines.append(f"  {'# ' * (name in doubted)}{written}" + (f"  # guessed: {column.why}" if column.why else ""))
     return "\n".join([*(f"# doubtful: {one}" for one in doubts), *lines]) + "\n"

@@ -33,6 +33,8 @@ def load_model(name_or_path: str | Path) -> RobotModel:
         FileNotFoundError: if there is no such file.
     """
     path = find_model(name_or_path)
+    if path.suffix in (".xml", ".urdf"):
+        raise ValueError(f"{path} describes bodies, not a servo model: give a model.yaml, or BAM's parameters as .json")
     content = read_yaml(path)
     try:
         if isinstance(content, Mapping) and "actuator" in content and "format" not in content:

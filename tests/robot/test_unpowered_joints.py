@@ -147,8 +147,13 @@ def test_a_servo_on_a_joint_that_mimics_another_is_told(tmp_path, caplog):
     [
         ("", HINGE, r"leave out the model's joint 'finger': list it with its servo, or as `finger: {passive: true}`"),
         ("  finger: {bus_id: 3}\n", SLIDE, r"is not a hinge in the model: .*`held: 0.0` where it stays"),
-        ("  finger: {passive: true, held: 0.1}\n", HINGE, "must have one of passive: true, coupled and held"),
-        ("  finger: {coupled: {joint: elbo}}\n", HINGE, "names the joint with a servo 'elbo', which does not exist"),
+        ("  finger: {passive: true, held: 0.1}\n", HINGE, r"line \d+: joints.finger must have one of passive"),
+        ("  finger: {held: 5}\n", HINGE, r"joints.finger.held is 5, beyond the model's"),
+        (
+            "  finger: {coupled: {joint: elbo}}\n",
+            HINGE,
+            "joints.finger.coupled names the joint with a servo 'elbo', which",
+        ),
         ("  fingr: {passive: true}\n", HINGE, "names the joint 'fingr', which does not exist"),
     ],
 )

@@ -15,6 +15,7 @@ rosbag2, typesys = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2
 STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 STATE, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+NUMBER = "std_msgs/msg/Float64"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 JOINTS = ("a", "b", "c")
 BEGIN = 1.7e9
@@ -179,6 +180,26 @@ def test_arrays_belong_to_the_joints_that_follow_them(tmp_path, order):
     columns = [JOINTS.index(joint) for joint in log.joints]
     assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])[:, columns]).max() < 0.03
     assert ["order of joints"] * (order != [0, 1, 2]) == [one.check for one in log.findings]
+
+
+@pytest.mark.parametrize("name", ["/arm/{}_controller/command", "/motor_{number}/command"])
+def test_a_topic_for_each_joint_is_of_the_joint_that_it_names_or_that_follows_it(tmp_path, name):
+    """As controllers of ROS 1 have them; joints that pass 0 have no second publisher."""
+    sent = [
+        (name.format(joint, number=7 - at), NUMBER, BEGIN + t, made(NUMBER, data=float(target(t)[0, at])))
+        for at, joint in enumerate(JOINTS)
+        for t in TIME
+    ]
+    alone = [(f"/{joint}/joint_states", STATE, joint, at) for at, joint in enumerate(JOINTS)]
+    told = [
+        (topic, kind, BEGIN + t, state(BEGIN + t, [angle], [joint]))
+        for topic, kind, joint, at in alone
+        for t, angle in zip(TIME, np.round(POSITION[:, at], 1), strict=True)
+    ]
+    log = read(tmp_path, told, sent)
+    columns = [JOINTS.index(joint) for joint in log.joints]
+    assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])[:, columns]).max() < 0.03
+    assert "two publishers" not in [one.check for one in log.findings]
 
 
 def test_arrays_that_no_joint_follows_are_refused(tmp_path):

@@ -36,8 +36,7 @@ def write(folder: Path, header: list[str], rows: list, about: str = "") -> Path:
 
 def imported(path: Path, robot: str | None = None) -> Rollout:
     """The log with the YAML that is proposed for it."""
-    about, columns, doubts = propose(path, robot)
-    side_path(path).write_text(as_yaml(about, columns, doubts))
+    side_path(path).write_text(as_yaml(*propose(path, robot)))
     return read_log(path)
 
 
@@ -128,6 +127,14 @@ def test_counts_are_known_by_where_they_stand_and_doubted(tmp_path, middle, size
     assert np.ptp(log.array("joint/position"), axis=0) == pytest.approx(np.ptp(POSITION, axis=0), rel=0.02)
 
 
+def test_counts_of_other_servos_than_the_robot_s_are_doubted(tmp_path):
+    """Around 512, with a robot of 4096 a turn."""
+    counts = np.round(512 + np.hstack([TARGET, POSITION]) / (np.deg2rad(300) / 1024))
+    names = ["time", *(f"{joint}_{kind}" for kind in ("goal", "pos") for joint in ("elbow_flex", "wrist_flex"))]
+    path = write(tmp_path, names, np.column_stack([TIME, counts]).tolist())
+    assert "but arm has other servos" in propose(path, "arm")[2][0]
+
+
 def test_numbers_of_servos_are_their_ids_on_the_bus(tmp_path):
     """Of a robot whose file gives them; its servo says what a count is, and where its zero lies."""
     phase = np.arange(6)
@@ -146,3 +153,29 @@ def test_names_are_guessed_beside_metadata_too(tmp_path):
     log = read_log(write(tmp_path, names, np.column_stack([TIME, TARGET, POSITION]).tolist(), ABOUT))
     assert np.array_equal(log.array("joint/position"), POSITION)
     assert ["names of columns were guessed" in one.problem for one in log.findings] == [True]
+
+
+@pytest.mark.parametrize(
+    ("target", "position", "other"),
+    [
+        ("{}_target", "{}", "index"),
+        ("{}_des", "{}_act", "{}_des_vel"),
+        (
+            "/arm/state/reference/positions[{n}]",
+            "/arm/state/feedback/positions[{n}]",
+            "/arm/state/error/positions[{n}]",
+        ),
+    ],
+)
+def test_a_bare_name_is_a_position_and_an_error_is_none(tmp_path, target, position, other):
+    """In any order of the columns; a date names the time."""
+    header, table = ["date"], [TIME]
+    for name, values in ((other, TARGET - POSITION), (target, TARGET), (position, POSITION)):
+        for n, joint in enumerate(("hip", "knee")):
+            if (column := name.format(joint, n=n)) not in header:
+                header.append(column)
+                table.append(values[:, n])
+    log = imported(write(tmp_path, header, np.column_stack(table).tolist()))
+    assert np.array_equal(log.array("joint/position"), POSITION)
+    assert np.array_equal(log.array("command/position"), TARGET)
+    assert log.findings == ()

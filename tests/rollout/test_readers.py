@@ -90,6 +90,8 @@ def test_what_the_numbers_of_a_dataset_are(tmp_path, monkeypatch):
     assert "could be normalised values" in read_log(path).findings[0].problem
     side_path(path).write_text(as_yaml(*propose(path)))
     assert "# doubtful: numbers of up to 28.65 without a unit" in side_path(path).read_text()
+    assert [one.check for one in read_log(path).findings] == ["unit of LeRobot"]
+    side_path(path).write_text(side_path(path).read_text().replace("\n  # ", "\n  "))
     assert read_log(path).findings == ()
     step = 2 * np.pi / 4096
     rests = np.where(np.arange(ROWS)[:, None] < ROWS / 2, position()[ROWS // 2], position())
@@ -112,7 +114,7 @@ def test_a_log_of_some_joints_of_a_robot(tmp_path):
     """What is proposed names these, and is read."""
     path = rollout().to_csv(tmp_path / "run.csv")
     path.with_suffix(".yaml").unlink()
-    about, columns, _ = propose(path, "op3")
+    about, columns, *_ = propose(path, "op3")
     assert about["joints"] == ["l_knee", "r_knee"]
     path.with_suffix(".yaml").write_text(as_yaml(about | {"rate": 125.0}, columns))
     assert read_log(path).joints == ("l_knee", "r_knee")
@@ -168,11 +170,16 @@ def test_the_encoder_of_all_joints_says_the_unit_of_a_dataset(tmp_path, unit, si
 
 
 def test_normalised_numbers_without_their_ranges_are_refused(tmp_path):
-    """Steps of another size in every joint are no degrees."""
+    """Steps of another size in every joint are no degrees; the YAML of an import leaves the decision to a calibration
+    that is copied later."""
     path = counted(tmp_path, "normalised", 0.08)
+    calibration = (path / "calibration.json").read_text()
     (path / "calibration.json").unlink()
+    side_path(path).write_text(as_yaml(*propose(path)))
     with pytest.raises(LogError, match="they are normalised to the joints' ranges, which are unknown; copy"):
         read_log(path)
+    (path / "calibration.json").write_text(calibration)
+    assert np.ptp(read_log(path).array("joint/position"), axis=0) == pytest.approx(0.16, rel=0.05)
 
 
 @pytest.mark.parametrize(("degrees", "factor"), [(True, 1.0), (False, 2048 / 4096 * 360 / 200)])
@@ -183,6 +190,22 @@ def test_what_a_dataset_says_of_its_unit_counts(tmp_path, degrees, factor):
     entry = {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 1024, "range_max": 3072}
     (path / "calibration.json").write_text(json.dumps(dict.fromkeys(JOINTS, entry)))
     assert np.abs(read_log(path).array("joint/position") - factor * position()).max() < 1e-4
+
+
+@pytest.mark.parametrize(("middle", "per_rad", "joints"), [(2048, 4096 / (2 * np.pi), 2), (0.5, 1.0, 1)])
+def test_counts_are_no_degrees_and_an_opening_is_no_angle(tmp_path, monkeypatch, middle, per_rad, joints):
+    """Whole numbers beyond a turn of degrees are counts; a gripper's from 0 to 1 are left out."""
+    monkeypatch.setattr(foreign_logs, "JOINTS", ("gripper" if joints == 1 else "shoulder", "elbow"))
+    path = lerobot(tmp_path)
+    table = {}
+    for feature, angles in (("action", target()), ("observation.state", 0.97 * position())):
+        first = middle + angles[:, 0] * per_rad
+        second = np.round(2048 + angles[:, 1] * per_rad) if joints == 2 else np.rad2deg(angles[:, 1])
+        table[feature] = np.stack([np.round(first) if joints == 2 else first, second], axis=1).tolist()
+    rewrite(next(path.rglob("*.parquet")), lambda content: content.update(table))
+    log = read_log(path)
+    assert log.joints == foreign_logs.JOINTS[-joints:]
+    assert np.ptp(log.array("joint/position")[:, -1]) == pytest.approx(0.97 * np.ptp(position()[:, 1]), rel=0.01)
 
 
 def test_a_calibration_of_lists(tmp_path):

@@ -82,6 +82,13 @@ def test_bad_files_are_refused_by_name_and_field(tmp_path, text, message):
     assert "\n" not in str(refusal.value)
 
 
+def test_bodies_are_no_servo_model(tmp_path):
+    """An exported MJCF among them."""
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    with pytest.raises(ValueError, match="describes bodies, not a servo model"):
+        load_model(tmp_path / "arm.xml")
+
+
 def test_options_at_their_default_do_not_change_the_hash():
     """The hash is that of a model whose effects have no such option; another choice shows."""
     model = load_model("paper")

@@ -6,11 +6,11 @@ import numpy as np
 
 from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.keys import CURRENT
-from op3.rollout.match import as_if
+from op3.rollout.match import as_if, fitted
 from op3.rollout.schema import CHANNELS
 
 _ZERO = 0.1  # reported offset of a current sensor [A], or 2 % of its readings; sound logs have up to 0.03
-_EXPLAINED = "two clocks, position against command, position without its command, gains"
+_EXPLAINED = "two clocks, position against command, position without its command, torque lost, gains"
 
 
 @check("current against position error", unless=_EXPLAINED)
@@ -74,12 +74,12 @@ def drive(view: View) -> Found:
                 yield view.found((key, joint), problem, "swap the columns", aside=True)
 
 
-def _law(values: np.ndarray, wanted: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _law(values: np.ndarray, wanted: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, ...]:
     """Share of currents [row, joint] that a proportional and a damping term explain, the factor of the proportional
     term, and the mean remainder."""
-    v, w, s = (x - x.mean(0) for x in (values, wanted, speed))
-    vw, vs, ws, ww, ss = ((x * y).mean(0) for x, y in ((v, w), (v, s), (w, s), (w, w), (s, s)))
-    spread = np.maximum(ww * ss - ws * ws, 1e-24)
-    factor, damping = (vw * ss - vs * ws) / spread, (vs * ww - vw * ws) / spread
-    zero = values.mean(0) - factor * wanted.mean(0) - damping * speed.mean(0)
-    return (factor * vw + damping * vs) / np.maximum((v * v).mean(0), 1e-24), factor, zero
+    fits = []
+    for value, want, rate in zip(np.broadcast_to(values, wanted.shape).T, wanted.T, speed.T, strict=True):
+        weights = fitted(causes := np.column_stack([want, rate, np.ones(len(rate))]), value)
+        share = 1 - (value - causes @ weights).var() / max(value.var(), 1e-24)
+        fits.append((share, weights[0], weights[2]))
+    return tuple(np.array(fits).T)

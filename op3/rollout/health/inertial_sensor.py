@@ -169,9 +169,8 @@ def gravity(view: View) -> Found:
         problem, where = f"gravity reads {mean[2]:.3g} m/s2 upwards, as if the trunk hung upside down", (FORCE, 2)
         remedy = "if it did not, write `sign: -1` for all its axes under `columns:` in the YAML"
     elif known and mean[2] > 5 and expected[2] < -0.5:
-        problem = "the orientation says that the trunk hangs upside down, but the accelerometer reads "
-        problem += f"{mean[2]:.3g} m/s2 upwards, as if a quaternion's components were in another order (w, x, y, z "
-        problem += "or x, y, z, w)"
+        problem = f"the orientation says that the trunk hangs upside down, but z reads {mean[2]:.3g} m/s2, as if a "
+        problem += "quaternion's components were in another order (w, x, y, z or x, y, z, w)"
         remedy, where, error = "correct the orientation", (ORIENTATION, 0), True
     elif apart > (0.4 if falls else _TILTED):
         problem = f"gravity lies along {np.round(mean / size, 2)}, but the orientation says {np.round(expected, 2)}"

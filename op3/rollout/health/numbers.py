@@ -22,7 +22,8 @@ TURN = 2 * np.pi
 
 def are_radians(values: np.ndarray) -> np.ndarray:
     """Columns with angles in rad; the checks of units report the others."""
-    steps = np.abs(np.diff(values, axis=0))
+    steps = np.diff(values, axis=0)
+    steps = np.abs(steps - TURN * np.round(steps / TURN))
     return (np.abs(values).max(0) < 50) & ((steps > 1).mean(0) < 0.05 if len(steps) else True)
 
 
@@ -107,7 +108,7 @@ def _counted(column: np.ndarray, si_unit: str) -> float:
     return next((u for u in fits if np.abs(column / u - np.round(column / u)).max() < 0.01), 0.0)
 
 
-@check("single readings")
+@check("single readings", unless="lost turns")
 def spikes(view: View) -> Found:
     """A reading jumps for one row, or a target for up to three rows, and then returns."""
     for key, index, column in view.columns(*_LEAPS):

@@ -121,12 +121,13 @@ def coarse(view: View) -> Found:
     counts = {} if make is None else {POSITION: exact, VELOCITY: make.counts.velocity and make.counts.velocity.si}
     for key, usual in ((key, usual) for key, usual in {POSITION: exact, **_ROUGHEST}.items() if key in view.log):
         steps, most = view.steps(key), np.abs(view.log.array(key)).max(0)
+        typical = float(np.median(steps[steps > 0])) if steps.any() else 0.0
         least = 0.008 if key == POSITION and make is None else 4 * usual
         # bounds report rates and currents in another unit
         for joint in np.flatnonzero((steps > 0) & ((key == POSITION) | (most <= CHANNELS[key].quantity.bound))):
             unit = likely_unit(float(steps[joint] / exact), "rad", 0.003) if key == POSITION else None
-            parts = float(steps[joint] / count) if (count := counts.get(key)) else 1.0
-            whole = round(parts) if parts > 1 else 1 / round(1 / parts)
+            parts, others = (size / count if (count := counts.get(key)) else 1.0 for size in (steps[joint], typical))
+            whole = round(parts) if parts > 1 else 1.0 if abs(others - 1) < 0.03 else 1 / round(1 / parts)
             decimal = abs(np.log10(steps[joint]) - np.round(np.log10(steps[joint]))) < 1e-3
             if unit and not exact / 2 < steps[joint] <= least:  # otherwise a finer encoder, or this one
                 problem, remedy = f"{usual:.4g} or less, as if they were in {unit}", "convert them to radians"
@@ -186,7 +187,7 @@ def _goes_round(view: View, bound: float) -> np.ndarray:
     return far & (fit.own > SURE) & (np.abs(np.diagonal(fit.ratio) - 1) < 0.1)
 
 
-@check("impossible speed", rows=2, unless="bounds")
+@check("impossible speed", rows=2, unless="bounds, lost turns")
 def impossible_speed(view: View) -> Found:
     """A position changes faster between rows than any servo can move, or jumps between periods of smooth motion."""
     steps, taken = np.diff(view.position, axis=0), np.diff(view.time)

@@ -15,7 +15,7 @@ _PLAUSIBLE = {"mass": ("kg", 1e-3, 50.0, 0.4), "length": ("m", 5e-3, 3.0, 0.12),
 """Unit, smallest, largest and typical value of a bench's metadata."""
 
 _CHARGE = (0.7, 1.3)  # plausible voltage relative to the battery's: cells of 3.7 V give 3.0 to 4.2 V, less cable losses
-_FULL = 1.35  # largest ratio of supply to a servo's limit: full batteries, overdriven small servos (1.22)
+_FULL = 1.25  # largest ratio of supply to a servo's limit: full batteries, overdriven small servos (1.22)
 _HOTTEST = 95.0  # highest plausible temperature [C]: no servo file allows more
 _WEIGHS = (0.7, 4.0)  # plausible ratio of servo torque to pendulum weight: 0.86 to 2.7 in 108 recordings
 

@@ -10,7 +10,6 @@ from op3.rollout.health.log_view import Found, View, check
 from op3.rollout.keys import COMMAND, CURRENT, FORCE, ORIENTATION, POSITION, RATE, TEMPERATURE, VELOCITY, VOLTAGE
 from op3.rollout.match import GIVES, SURE, delays, fitted, integral, longest_run, match, runs, unexplained
 from op3.rollout.metadata import HOLDING
-from op3.rollout.schema import CHANNELS
 
 _SHAKEN = 0.1  # largest spread of a held trunk's accelerations [m/s2]; 0.08 in 179 logs, 0.44 when standing
 _SETTLES = 0.5  # time in which a servo reaches a constant target [s]
@@ -19,6 +18,8 @@ _PERIOD = 0.02  # row interval at which motions are examined [s]
 _UNRELATED = 0.5  # reported correlation with the command at the best delay; at least 0.57 in 3,400 joints of sound logs
 _LETS_GO = 0.14  # shortest reported loss of torque [s]
 _RECENT = (0.12, 0.25)  # a fast or slow joint that follows stays within the targets of this last time [s]
+_STICKS = 1.0  # reported range of commands while a joint of a standing robot sticks [rad]; 0.73 in policies' logs
+_NONE = 0.1  # a current below this share of the control law's counts as none
 _PUSHES = 0.3  # a servo with this share of its usual current still drives; friction or an obstacle holds it
 
 _FAR, _TIMES = 0.1, 3.0  # a joint that lets go is so far beyond these [rad], and so many times as far as otherwise
@@ -117,32 +118,21 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     last, dead = first + length, length >= len(position) - 2
     if length * view.interval <= 0.5:
         return
-    rows, rates, half = slice(first, last + 1), view.get(VELOCITY), view.stride(0.5)
+    rows = slice(first, last + 1)
     # distance, not total movement: a soft joint may stand while a policy's targets oscillate around it
     heeded = slice(first, max(last - round(0.2 / view.interval), first) + 1)
     asked = float(np.ptp(view.command[heeded, joint])) if view.driven[rows, joint].all() else 0.0
-    rate = np.zeros(length + 1) if rates is None else rates[rows, joint]
-    rate = np.where(np.abs(rate) > CHANNELS[VELOCITY].quantity.bound, 0.0, rate)  # the bound reports these
-    turned = integral(view.time[rows], rate)
-    said = float(np.abs(turned[half:] - turned[:-half]).max(initial=0.0)) if np.ptp(rate) else 0.0
-    moves = asked > 0.4 or (asked > 0.1 and _follows_elsewhere(view, joint, rows, asked, dead))
-    if moves or said > 0.5:
-        what = f"command moves by {asked:.3g} rad" if moves else f"velocity amounts to {said:.3g} rad in 0.5 s"
-        problem = f"position stays at {position[first] + 0.0:.4g} rad while its {what}"
+    others = np.flatnonzero(np.ptp(view.position, axis=0)) if dead and asked > 0.1 else []
+    command, error = view.command[:, others], view.error[:, others]  # of joints that follow by less than it should
+    follow = error.size >= 20 and view.driven[:, others].all() and np.ptp(command, axis=0).max() > 0.7 * asked
+    moves = asked > (0.4 if view.metadata.mount in HOLDING else _STICKS) or (
+        follow and asked > 1.5 * np.ptp(error, axis=0).max()
+    )
+    if moves:
+        problem = f"position stays at {position[first] + 0.0:.4g} rad while its command moves by {asked:.3g} rad"
         all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
         remedy, aside = "check whether the joint is blocked or its sensor is dead", dead and not all_dead
         yield view.found((POSITION, joint), problem, remedy, first, last, aside=aside, error=all_dead)
-
-
-def _follows_elsewhere(view: View, joint: int, stands: slice, asked: float, dead: bool) -> bool:
-    """Whether the command of a standing joint moved much further than the joint's errors at similar commands, within
-    which a weak servo may stick. If the joint never moves, the errors of the other joints are used."""
-    moving = np.ones(len(view.time), bool)
-    moving[stands] = dead
-    joints = [j for j in range(len(view.joints)) if (j != joint) == dead and np.ptp(view.position[:, j])]
-    command, error, driven = (table[moving][:, joints] for table in (view.command, view.error, view.driven))
-    enough = error.size >= 20 and driven.all() and np.ptp(command, axis=0).max() > 0.7 * asked
-    return bool(enough and asked > 1.5 * np.ptp(error, axis=0).max())
 
 
 def _sensors_stand(view: View, rows: int) -> Found:
@@ -161,13 +151,15 @@ def _sensors_stand(view: View, rows: int) -> Found:
             through = view.position if trunk else view.position[:, [index]]
             path = detrend(gyroscope[run], axis=0) if key == ORIENTATION else through[run]
             moved = np.ptp(path, axis=0).max() > (0.05 if key == ORIENTATION else 0.2)
-            driven, most = view.driven[run, index].any(), np.abs(part).max()
+            driven, most = view.driven[run, index].mean() > 0.1, np.abs(part).max()
             if length == len(same):  # a robot that does not rotate has no rates and a constant orientation
                 dead = {CURRENT: moved and driven, ORIENTATION: turns, RATE: tilted, FORCE: zero or tilted}
                 problem, when, stuck = f"{name} stays at {{:.4g}} in every row", (), dead.get(key, zero)
             else:
                 size, same[run] = abs(part[first, 0]), False
-                limited = key == CURRENT and (size == most or (size == 0 and not driven))
+                error = np.abs(view.error[:, index if key == CURRENT else 0])
+                limp = not driven or np.median(error[run]) > _TIMES * np.median(error)  # reported as such
+                limited = key == CURRENT and (size == most or (size == 0 and limp))
                 longer = key == ORIENTATION or length > 5 * max(longest_run(same)[1], 1)
                 stuck = length > 2 * rows and moved and not limited and longer and key not in (VOLTAGE, TEMPERATURE)
                 problem = f"the values of {name} are constant for {length} rows while the robot moves"
@@ -192,11 +184,11 @@ def turned_by_gyroscope(view: View) -> np.ndarray:
     return integral(view.time, rates - np.median(rates, axis=0))
 
 
-@check("torque lost", rows=50, unless=f"{_RELATED}, time jumps, stale readings")
+@check("torque lost", rows=50, unless=f"{_RELATED}, lost turns, time jumps, stale readings")
 def lets_go(view: View) -> Found:
     """For some time a joint has no current although its error requires one, or, if no current was measured, stays far
-    beyond its recent targets. The latter is not reported within 0.1 rad of these targets, if other joints are displaced
-    too, or for a single servo, because friction may hold it."""
+    beyond its recent targets. The latter is not reported within 0.1 rad of these targets, for a single servo, which
+    friction may hold, or if another joint of a robot on its feet is displaced too."""
     if view.metadata.fallen:
         return
     reported = {*commands_stop(view)}
@@ -204,9 +196,13 @@ def lets_go(view: View) -> Found:
         if gain is None:
             continue
         for joint in range(len(view.joints)):
-            law = np.column_stack([-gain[:, joint] * view.error[:, joint], view.speed[:, joint]])
-            on, given = view.driven[:, joint], values[:, joint]
-            wanted = law @ fitted(law[on], given[on])
+            speed, given = view.speed[:, joint], values[:, joint]
+            law = np.column_stack([-gain[:, joint] * view.error[:, joint], speed])
+            # at its free speed towards the target a servo takes no current
+            fast = (view.error[:, joint] * speed < 0) & (np.abs(speed) > 0.5 * np.quantile(np.abs(speed), 0.98))
+            on = view.driven[:, joint] & ~fast
+            some = on & (np.abs(given) > _NONE * np.quantile(np.abs(given), 0.95))  # the law holds where it has torque
+            wanted = law @ fitted(law[some], given[some])
             for first, last in _without(given, wanted, on, view.interval):
                 reported.add(joint)
                 worst = first + int(np.abs(wanted[first : last + 1]).argmax())
@@ -221,13 +217,12 @@ def _without(given: np.ndarray, wanted: np.ndarray, driven: np.ndarray, interval
     size = np.abs(wanted)
     if not driven.any() or (asked := 0.5 * float(np.quantile(size[driven], 0.95))) <= 0:
         return []
-    none = driven & (size > asked) & (np.abs(given) < 0.1 * size)
+    none = driven & (size > asked) & (np.abs(given) < _NONE * size)
     first, length = longest_run(none)
-    rest = driven & ~none & (size > 0.25 * asked)
-    if length < max(3, round(_LETS_GO / interval)) or rest.sum() <= 10:
+    if length < max(3, round(_LETS_GO / interval)) or (driven & ~none & (size > 0.25 * asked)).sum() <= 10:
         return []
-    usual, around = np.median(np.abs(given[rest]) / size[rest]), runs(none | (np.abs(given) < 0.1 * asked)).tolist()
-    return [(start, end - 1) for start, end in around if start <= first < end and usual > 0.3]
+    around = runs(none | (np.abs(given) < _NONE * asked)).tolist()
+    return [(start, end - 1) for start, end in around if start <= first < end]
 
 
 def _astray(view: View, reported: set[int]) -> Found:
@@ -235,7 +230,6 @@ def _astray(view: View, reported: set[int]) -> Found:
     period = stride * view.interval
     if len(angle) < 50 or period > 2 * _PERIOD or len(view.joints) == 1:
         return  # friction holds a single servo with a low gain as far away, and no other joint allows a comparison
-    most_shaken = len(view.joints) / 2 if view.metadata.mount in HOLDING else 1
     for recent in _RECENT:
         past = max(1, round(recent / period))
         before = {"size": past + 1, "axis": 0, "mode": "nearest", "origin": past // 2}  # a row and the rows before it
@@ -247,11 +241,14 @@ def _astray(view: View, reported: set[int]) -> Found:
         for joint in (j for j in range(len(view.joints)) if j not in reported):
             found, usual = _let_go(angle[:, joint], off[:, joint], switched[:, joint], period, past)
             for first, end, far in found[:1]:
-                given = [np.abs(values[::stride, joint]) for _, values, _ in view.drives]
-                holds = any(np.median(size[first:end]) > _PUSHES * np.median(size) for size in given)
-                shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).sum() >= most_shaken
-                if holds or shaken:
-                    continue  # a push, or the robot's weight when it stands
+                rows = np.s_[first * stride : end * stride, joint]
+                holds = False
+                for _, values, gain in view.drives:
+                    asked = _PUSHES * values[:, joint] if gain is None else _NONE * gain[rows] * view.error[rows]
+                    holds |= bool(np.median(np.abs(values[rows])) > np.median(np.abs(asked)))
+                shaken = (np.abs(np.delete(off[first:end], joint, axis=1)).max(0) > far / 3).any()
+                if holds or (shaken and view.metadata.mount not in HOLDING):
+                    continue  # a push, or the weight
                 reported.add(joint)
                 more = f", and again {len(found) - 1} times," if len(found) > 1 else ""
                 problem = f"for {(end - first) * period:.2g} s{more} the joint stays {far:.2g} rad beyond all its "

@@ -7,7 +7,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 
 from op3.rollout.health.log_view import Found, View, check
-from op3.rollout.keys import COMMAND, POSITION
+from op3.rollout.keys import COMMAND, CURRENT, P_GAIN, POSITION
 from op3.rollout.match import SURE, delays, match
 from op3.rollout.metadata import HOLDING
 from op3.rollout.units import UNITS, likely_unit
@@ -27,6 +27,9 @@ def exchanged(view: View) -> dict[int, int]:
     if len(rows) < 20:
         return {}
     apart = np.median(np.abs(view.position[rows, :, None] - view.command[rows, None, :]), axis=0)
+    if (gain := view.get(P_GAIN)) is not None and (current := view.get(CURRENT)) is not None:  # that of its own error
+        pulled = np.median(np.abs(view.error + current / np.maximum(gain, 1e-3))[rows], axis=0)
+        np.fill_diagonal(apart, np.minimum(np.diagonal(apart), pulled))
     own, nearest, joints = np.diagonal(apart), linear_sum_assignment(apart)[1], np.arange(len(apart))
     rest = own[nearest == joints]
     _, circle = connected_components(np.eye(len(own))[nearest])
@@ -36,14 +39,15 @@ def exchanged(view: View) -> dict[int, int]:
     return {joint: int(nearest[joint]) for joint in np.flatnonzero(found).tolist()}
 
 
-@check("position against command")
+@check("position against command", unless="lost turns")
 def command(view: View) -> Found:
     """Position and command differ in unit or sign, belong to different joints, or the command is relative."""
     circles, wrong = exchanged(view), not view.metadata.fallen  # limbs of a falling robot move freely
     for joint, other in circles.items():
         which = "of the two" if circles.get(other) == joint else "of several joints"
         problem = f"the position follows the command of {view.joints[other]}: the columns {which} are swapped"
-        yield view.found((POSITION, joint), problem, "swap their names under `columns:` in the YAML", error=wrong)
+        sure = wrong and (view.metadata.mount in HOLDING or CURRENT in view.log)  # else weight may displace soft joints
+        yield view.found((POSITION, joint), problem, "swap their names under `columns:` in the YAML", error=sure)
     angle, target, driven, _ = view.thinned(_PERIOD)
     driven = np.all(driven, axis=1)
     if driven.sum() < 20:
@@ -76,24 +80,26 @@ def command(view: View) -> Found:
     late = [low < -0.7 and delays(t, a, ahead).max() > -low for a, t, low in zip(*columns, strict=True)]
     # for a motion with poor tracking; the weight of a standing robot may move soft joints this way
     against = (moved > 0.05) & (own[0] < -0.7) & (own[:6].max(0) < -0.3) & (view.metadata.mount in HOLDING)
+    mirrored = (own.min(0) < -0.95) & (itself < 0.8)
     explained = {*circles, *np.flatnonzero(relative)}  # further problems follow from that one
     for joint in (int(j) for j in np.flatnonzero((asked > 0.05) | (moved > 0.05)) if j not in explained):
         sure, ratio = float(itself[joint]), float(matches[int(own[:, joint].argmax())].ratio[joint, joint])
         other, error = view.joints[leader[joint]] if swapped[joint] else None, wrong
         turns = ", and one sign is reversed" if signed[joint, leader[joint]] < 0 else ""
         moves = asked[joint] > 0.05
-        if moves and sure > 0.95 and (ratio > _MOST or ratio < 1 / 30):
-            unit = _unit(view, joint, ratio) if ratio > 0 else None
+        far = ratio > _MOST or ratio < 1 / 30
+        if moves and sure > (0.95 if far else 0.97) and (far or ratio > _MORE):
+            unit, error = _unit(view, joint, ratio) if far and ratio > 0 else None, wrong and far
             problem = f"the position moves {ratio:.3g} times as far as its command{f', as if {unit}' if unit else ''}"
             remedy = "convert both to radians (a factor of 57.3 means degrees)" if unit else _GEAR
-        elif moves and sure > 0.97 and ratio > _MORE:
-            problem, remedy, error = f"the position moves {ratio:.3g} times as far as its command", _GEAR, False
-        elif moves and own[:, joint].min() < -0.95 and sure < 0.8 and not late[joint]:
-            problem, remedy = "the position moves opposite to its command: one of the two signs is reversed", _SIGNS
-            problem += f", or its column was swapped with that of {other}" if other else ""
-        elif moves and against[joint] and not late[joint]:
-            problem, remedy = f"the position moves opposite to its command (correlation {own[0, joint]:.2f})", _SIGNS
-            error = False
+        elif moves and (mirrored[joint] or against[joint]) and not late[joint]:
+            why = ": one of the two signs is reversed" if mirrored[joint] else f" (correlation {own[0, joint]:.2f})"
+            why += f", or its column was swapped with that of {other}" if other and mirrored[joint] else ""
+            problem, remedy, error = (
+                f"the position moves opposite to its command{why}",
+                _SIGNS,
+                wrong and mirrored[joint],
+            )
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped{turns}"
             remedy = "swap their names under `columns:` in the YAML"

@@ -72,10 +72,10 @@ def _recording(content: dict[str, np.ndarray], about: dict[str, Any], name: str,
     content = {name: array for name, array in content.items() if len(array) == rows and array.ndim <= 2}
     columns = columns_of(content, rows, joints, path)
     meanings = guess_all(columns, joints)
-    for name, values in columns.items():
-        gripper = str(meanings[name].name).rpartition(".")[0].endswith("gripper")
+    for column, values in columns.items():
+        gripper = str(meanings[column].name).rpartition(".")[0].endswith("gripper")
         if gripper and values.min() > -0.5 and values.max() < 1.5:
-            meanings[name] = Column(None, why="normalised from 0 to 1 by a range that the file does not state")
+            meanings[column] = Column(None, why="normalised from 0 to 1 by a range that the file does not state")
     metadata = {"robot": "simulated" if about.get("sim") else "real", "mount": "stand"}
     return Recording([Stream(time.astype(float), columns)], metadata, meanings, name, doubts=doubts)
 

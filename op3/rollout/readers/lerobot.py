@@ -28,6 +28,8 @@ from op3.rollout.units import canonical
 _TURN = 4096
 """Encoder counts per turn."""
 
+_COUNTS = f"counts of {_TURN} a turn"
+_CHECK = "unit of LeRobot"
 _NORMAL = 100.5
 """Largest normalised value: 100 with a small margin."""
 
@@ -202,7 +204,7 @@ def _grids(unit: str, counts: float) -> tuple[float, ...]:
     turn = {"deg": 360.0, "rad": 2 * math.pi}.get(unit)
     if turn is not None:
         return turn / (_TURN - 1), turn / _TURN
-    return ({"normalised": 200.0, "percent": 100.0}[unit] / counts,) if counts else ()
+    return ({"normalised": 200.0, "percent": 100.0}[unit] / counts,) if counts and unit != _COUNTS else ()
 
 
 def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range]) -> float:
@@ -224,6 +226,10 @@ def _body_unit(
     if {known.unit for joint, known in ranges.items() if joint in joints} - {""}:
         return "deg", "the calibration states it", None
     most = np.array([np.abs(values).max() for values in joints.values()] or [0.0])
+    if most.max() > 360 and not any((values % 1).any() for values in joints.values()):
+        why = f"whole numbers of up to {most.max():g}"
+        problem = f"{why} are assumed to be {_COUNTS}"
+        return _COUNTS, why, LogFinding(WARNING, problem, "write `unit:` if the servo's unit differs", check=_CHECK)
     units = ["deg"]
     if np.quantile(most, 0.75) < 2 * math.pi and most.max() < 8 * math.pi:
         units.append("rad")
@@ -248,7 +254,7 @@ def _body_unit(
         )
         problem += "they are normalised to the joints' ranges, which are unknown"
         remedy = "copy LeRobot's calibration file there as calibration.json"
-        return "deg", "there is no other evidence", LogFinding(ERROR, problem, remedy, check="unit of LeRobot")
+        return "deg", "there is no other evidence", LogFinding(ERROR, problem, remedy, check=_CHECK)
     if "rad" in units:
         return "rad", "few values exceed a turn in radians", None
     problem = f"numbers of up to {most.max():.4g} without a unit are read as degrees, but could be normalised values"
@@ -256,7 +262,7 @@ def _body_unit(
     if not ranges:
         remedy = f"copy LeRobot's calibration file there as calibration.json, or {remedy}"
     why = "degrees are assumed, since no unit is given; numbers of -100 to 100 may be normalised to a range"
-    return "deg", why, LogFinding(WARNING, problem, remedy, check="unit of LeRobot")
+    return "deg", why, LogFinding(WARNING, problem, remedy, check=_CHECK)
 
 
 def _units(
@@ -294,11 +300,13 @@ def _units(
         elif joint in hands:
             low, high = float(columns[name].min()), float(columns[name].max())
             meanings[name] = Column(column.name, "deg", why="the range of the gripper is not given")
-            if low >= 0 and high - low > 5 and not any("gripper's" in one.problem for one in doubts):
+            if high < 1.5:
+                meanings[name] = Column(None, why="normalised from 0 to 1 by an unknown range")
+            elif low >= 0 and high - low > 5 and not any("gripper values" in one.problem for one in doubts):
                 problem = f"gripper values from {low:.4g} to {high:.4g} are read as degrees; LeRobot's go from 0 to"
                 problem += " 100 over its range"
                 remedy = "copy LeRobot's calibration file there as calibration.json, or give the unit under `columns:`"
-                doubts.insert(0, LogFinding(WARNING, problem, remedy, name, check="unit of LeRobot"))
+                doubts.insert(0, LogFinding(WARNING, problem, remedy, name, check=_CHECK))
         elif unit == "normalised" and not span:
             problem = "the numbers are normalised to the joint's range, which is unknown"
             raise LogError(

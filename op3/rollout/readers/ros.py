@@ -1,14 +1,15 @@
 """ROS bags, read without ROS by the rosbags package: ROS 2 (sqlite3 and MCAP, folder or file) and ROS 1.
 
 States come from `JointState` messages and trunk readings from `Imu`. Commands come from messages with joint names and
-positions: `JointTrajectory`, controller states, `JointState` of a leader or on a command topic, arrays. A trajectory is
-interpolated from the joint's last target through its points until the next trajectory arrives.
+positions: `JointTrajectory`, controller states, `JointState` of a leader or on a command topic, arrays, single numbers.
+A trajectory is interpolated from the joint's last target through its points until the next trajectory arrives.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +32,7 @@ _FOLLOWERS = ("follower", "puppet", "slave")
 """First words in names of followers' joints, if the names of leaders' joints begin with one of `_LEADERS`."""
 
 _KINDS = {"position": "position", "velocity": "velocity", "effort": "load"}
+_ARRAYS = ("Float64MultiArray", "Float64")
 _TRAJECTORY_STEP = 0.01
 """Time between samples of a trajectory [s]."""
 
@@ -129,7 +131,8 @@ def _one_publisher(topics: list[Topic], path: Path, doubts: list[LogFinding]) ->
         steps = [np.abs(values[n:] - values[:-n]).max(1)[: len(values) - 2] for n in (1, 2)]
         near = max(_LEAPS, 10 * float(np.median(np.minimum(*steps))))
         other, last = zero, values[0]
-        if (np.diff(zero.astype(int)) == 1).sum() < _PUBLISHED:
+        begins = (np.diff(zero.astype(int)) == 1) & (np.abs(np.diff(values, axis=0)).max(1) > near)
+        if begins.sum() < _PUBLISHED:
             other = np.zeros(len(values), bool)
             for row, value in enumerate(values):
                 other[row] = np.abs(value - last).max() > near
@@ -174,6 +177,11 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     different topics, or states without commands, are errors."""
     told = any(topic.ends("target") or topic.is_array for topic in topics)
     states = [topic for topic in topics if topic.kind == "JointState" and topic.ends("position")]
+    joints = {column.rpartition(".")[0] for topic in states for column in topic.columns}
+    for topic in (one for one in topics if one.columns == ("#0",)):  # of a joint that its topic may name
+        words = f"_{re.sub('[^A-Za-z0-9]+', '_', topic.name)}_"
+        if named := max((joint for joint in joints if f"_{joint}_" in words), key=len, default=None):
+            topic.columns = (f"{named}.target",)
     leads = [topic for topic in states if any(word in topic.name.lower() for word in _LEADERS)]
     if leads and len(leads) < len(states):
         names = {topic.name for topic in leads}
@@ -233,7 +241,7 @@ def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
         with highlevel.AnyReader([path], default_typestore=store) as reader:
             for connection, time, raw in reader.messages():
                 kind = connection.msgtype.rpartition("/")[2]
-                if kind in ("JointState", "Imu", "Float64MultiArray") or "Trajectory" in kind or "Controller" in kind:
+                if kind in ("JointState", "Imu", *_ARRAYS) or "Trajectory" in kind or "Controller" in kind:
                     yield connection.topic, kind, time * 1e-9, reader.deserialize(raw, connection.msgtype)
     except Exception as error:  # a damaged bag may raise any error in the parsers of three formats
         problem = f"the bag cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
@@ -261,9 +269,9 @@ def _samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, fl
             numbers = getattr(message, name)
             if len(numbers) == len(joints) > 0:
                 yield {f"{joint}.{ours}": number for joint, number in zip(joints, numbers, strict=True)}, None
-    elif kind == "Float64MultiArray":
-        if commanded and len(message.data):
-            yield {f"#{number}": value for number, value in enumerate(message.data)}, None
+    elif kind in _ARRAYS:
+        if commanded and np.size(message.data):
+            yield {f"#{number}": value for number, value in enumerate(np.atleast_1d(message.data))}, None
     elif hasattr(message, "joint_names"):
         columns = [f"{joint}.target" for joint in joints]
         wanted = (p for name in ("reference", "desired") if (p := getattr(message, name, None)) is not None)
