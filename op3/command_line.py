@@ -82,7 +82,15 @@ def _launch(app: str, module: str) -> None:
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(usage(app))
         return
+    import hydra
     from hydra._internal.utils import get_args_parser
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from op3.apps.job import Job, check_first_job
+    from op3.apps.sentences import explained
+    from op3.identify.registration import register
 
     words = ["confirm=false" if word == "--yes" else word for word in sys.argv[1:]]
     words += choices_of_resumed(words)
@@ -99,48 +107,34 @@ def _launch(app: str, module: str) -> None:
     asked = _asked_folder(app, kind, sys.argv[1:])
     if asked is not None and (other := taken(asked)) not in (None, app):
         end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another")
-    with record_kept(asked):
-        _run(app, module, kind, asked)
-
-
-def _run(app: str, module: str, kind: str, asked: Path | None) -> None:
-    """Run with Hydra in the folder asked for, or in one of its own."""
-    import hydra
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from op3.apps.job import Job, check_first_job
-    from op3.apps.sentences import explained
-    from op3.identify.registration import register
-
     missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     folder = None
-    try:
-        register()
-        if kind == "sweep":
-            check_first_job(app, [word for word in sys.argv[1:] if not word.startswith("-")])
-        folder = claim(app, sys.argv[1:])
-        if folder is not None:
-            sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
-        file = config_file(app)
-        hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app, module))()
-    except (HydraException, OmegaConfBaseException, OSError) as error:
-        end(masked(explained(error, app)))
-    except RuntimeError as error:
-        if "srun" not in str(error):  # what submitit looks for
-            raise
-        end("hydra/launcher=submitit_slurm: Slurm (srun) is not installed here; start it on a submit node")
-    except ValueError as error:
-        if HydraConfig.initialized():  # it is ours, and a mistake
-            raise
-        end(masked(explained(error, app)))
-    finally:
-        place = folder or asked
-        if kind == "sweep" and place is not None:
-            compare(place)
-        if place is not None and (folder or missing):
-            leave(place, above=2 if folder else missing - 1)
+    with record_kept(asked):
+        try:
+            register()
+            if kind == "sweep":
+                check_first_job(app, [word for word in sys.argv[1:] if not word.startswith("-")])
+            folder = claim(app, sys.argv[1:])
+            if folder is not None:
+                sys.argv.append(os.environ.setdefault(CLAIMED, f"hydra.{kind}.dir={folder}"))
+            file = config_file(app)
+            hydra.main(config_path=str(file.parent), config_name=file.stem, version_base="1.3")(Job(app, module))()
+        except (HydraException, OmegaConfBaseException, OSError) as error:
+            end(masked(explained(error, app)))
+        except RuntimeError as error:
+            if "srun" not in str(error):  # what submitit looks for
+                raise
+            end("hydra/launcher=submitit_slurm: Slurm (srun) is not installed here; start it on a submit node")
+        except ValueError as error:
+            if HydraConfig.initialized():  # it is ours, and a mistake
+                raise
+            end(masked(explained(error, app)))
+        finally:
+            place = folder or asked
+            if kind == "sweep" and place is not None:
+                compare(place)
+            if place is not None and (folder or missing):
+                leave(place, above=2 if folder else missing - 1)
 
 
 @contextmanager

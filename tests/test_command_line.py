@@ -245,7 +245,7 @@ def test_help_tells_settings_with_units_and_groups():
     """The settings come with their defaults and comments, without Hydra's own; groups with the names in them."""
     text = usage("train")
     assert text.startswith("Train a policy on a simulated robot.\n\nop3 train task=balance|walk")
-    assert "initial_gain: 3.0  # A/rad" in text
+    assert "initial_gain: 3.0  # P gain of the untrained policy, A/rad" in text
     assert "# logs to fit: a path, a folder, a pattern or a list of them\ndata: ???" in usage("identify")
     assert "task=  " in text
     assert "walk_terrain" in text

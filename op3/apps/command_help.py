@@ -74,6 +74,9 @@ def settings_of(config: str) -> list[str]:
     """Overrides that a config accepts: ``group=name`` for each option of its groups, ``setting=`` for its fields."""
     import yaml
 
+    from op3.identify.registration import register
+
+    register()
     content = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) or {}
     chosen = {name: value for e in content.get("defaults", []) if isinstance(e, dict) for name, value in e.items()}
     choices = []
@@ -87,9 +90,6 @@ def names_in(group: str) -> list[str]:
     """Names in a config group: files in ``conf``, effects of the catalogue and variants of motions."""
     from hydra.core.config_store import ConfigStore
 
-    from op3.identify.registration import register
-
-    register()
     names = [*ConfigStore.instance().repo.get(group, {}), *(conf_folder() / group).glob("*.yaml")]
     return sorted({Path(name).stem for name in names})
 

@@ -147,7 +147,7 @@ def _check_name(name: str, model: RobotModel, logs: Sequence[Rollout]) -> None:
     for log in logs:
         if joint not in log.joints:
             raise ValueError(
-                f"{name!r}: {log.metadata.recording} has no joint {joint!r} but {', '.join(log.joints)};"
+                f"{name!r}: {log.metadata.recording} has no joint {joint!r}; it has {', '.join(log.joints)};"
                 " select some of these with `joints`"
             )
     if estimate.by:

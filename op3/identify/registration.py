@@ -3,7 +3,6 @@
 The library is not imported until an interpolation is resolved.
 """
 
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,9 @@ INTERPOLATIONS = ("range", "value", "start", "own", "each_joint")
 
 
 def register() -> None:
-    """Register everything with Hydra and OmegaConf; a repeated call does nothing unless effects have been added."""
-    _register(tuple(search_groups.searched_parameters().items()))
-
-
-@cache
-def _register(effects: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
+    """Register everything with Hydra and OmegaConf; repeated calls are harmless."""
     ConfigStore.instance().store(group="hydra/sweeper", name="population", node=PopulationSweeperConf, provider="op3")
-    search_groups.register(dict(effects))
+    search_groups.register()
     for place, entries in config_variants().items():
         group, _, package = place.partition("@")
         for name, node in entries.items():

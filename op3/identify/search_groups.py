@@ -45,9 +45,9 @@ def search(names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def register(effects: Mapping[str, Sequence[str]]) -> None:
-    """Register the groups of these effects with Hydra; their searched parameters by effect."""
-    store = ConfigStore.instance()
+def register() -> None:
+    """Register the groups with Hydra; repeated calls are harmless."""
+    store, effects = ConfigStore.instance(), searched_parameters()
     for name, names in effects.items():
         store.store(group="effect", name=name, node={"effects": {name: {}}, **search(names)}, package="_global_")
     for name, names in {**effects, **TABLE_ONE}.items():

@@ -11,7 +11,7 @@ from tests.scripts import run_script
     [
         ("", 1, "write `split: true` into its YAML"),
         ("split: true", 0, "part-1: 100 rows"),
-        ("scale: {l_knee.velocty: 2}", 1, "l_knee.velocty is not in the log; rename it l_knee.velocity"),
+        ("scale: {l_knee.velocty: 2}", 1, "l_knee.velocty is not in the log; rename it to l_knee.velocity"),
     ],
 )
 def test_options_in_the_yaml_count(tmp_path, option, code, said):

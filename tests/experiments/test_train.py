@@ -113,7 +113,7 @@ def test_wrong_input_ends_with_one_sentence(tmp_path):
         (["train.steps=many"], "steps must be a whole number, got 'many'"),
         (["seed=1.5"], "seed must be a whole number, got 1.5"),
         (["environments=0"], "environments must be at least 1, got 0"),
-        (["evaluation.episodes=0"], "evaluation.episodes must be a whole number"),
+        (["evaluation.episodes=0"], "evaluation.episodes must be an integer"),
         (["+environment.foo=1"], "the batched environment has no option 'foo'; it has"),
         (["algorithm._target_=op3.train.Sarsa"], "algorithm._target_: op3.train has no 'Sarsa'"),
         (["+algorithm.gama=0.9"], "gama is not a field"),

@@ -128,7 +128,7 @@ def test_joints_that_differ_go_along_with_a_shared_value(model):
 
 def test_the_whole_robot_has_no_value_per_joint(model, logs):
     """The trunk's mass is not a joint's."""
-    with pytest.raises(ValueError, match="quantity of the whole robot"):
+    with pytest.raises(ValueError, match="belongs to the whole robot"):
         Identification(model, logs, [], ["base_mass_offset@joint=l_knee"])
-    with pytest.raises(ValueError, match="no joint 'servo', it has head_pan"):
+    with pytest.raises(ValueError, match="no joint 'servo'; it has head_pan"):
         Identification(model, logs, [], ["coulomb_friction@joint=servo"])

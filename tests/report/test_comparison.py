@@ -52,7 +52,7 @@ def test_the_page_names_the_best_and_links_the_runs(runs):
     """The verdict is the variant with the least held-out error; every run's page is linked."""
     page, _ = write_comparison(read_runs(runs), runs)
     reader = PageReader(page.read_text())
-    assert "Best by the held-out error: model=paper." in reader.text
+    assert "Best variant by held-out error: model=paper." in reader.text
     assert "at its bound in 2 of 6 runs" in reader.text
     links = [value for tag, name, value in reader.attributes if tag == "a" and name == "href"]
     assert {f"{number}/index.html" for number in range(6)} <= set(links)

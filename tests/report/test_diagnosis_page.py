@@ -44,7 +44,7 @@ def test_a_name_comes_with_its_rival_and_what_would_tell_them_apart(tmp_path):
     )
     text = told(tmp_path, finding)
     assert "does not include backlash in left knee or DTE in left knee." in text
-    assert "rad, probability 0.70. To distinguish it from its alternatives:" in text
+    assert "rad, probability 0.70. To distinguish it from its alternatives, record:" in text
     assert "0.021 (0.015 to 0.027) rad" in text
     assert "DTE in left knee, 0.30" in text
     assert "given model 20, baseline fit 6, repeats differ by 2" in text
@@ -55,7 +55,7 @@ def test_what_was_abstained_from_is_said_first_with_what_would_settle_it(tmp_pat
     """A joint that nothing explains leaves the likeliest effect with its experiment; nothing missing names none."""
     text = told(tmp_path, flagged=flagged)
     experiment = effect_class("backlash").separating_experiment
-    wanted = f"The likeliest is backlash in left knee. To decide: {experiment}"
+    wanted = f"The most likely effect is backlash in left knee. To decide, record: {experiment}"
     assert (wanted in text) == flagged
 
 

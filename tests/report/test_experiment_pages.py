@@ -116,4 +116,4 @@ def test_a_plan_says_what_to_record_and_what_it_would_leave_open(tmp_path):
     text = read(tmp_path)
     assert "Record squat: 5 s of robot time." in text
     assert "Afterwards, the widest expected interval, that of the armature, is 40 % of its range." in text
-    assert "Left out: sway. It falls." in text
+    assert "Omitted: sway. It falls." in text

@@ -84,7 +84,7 @@ def test_a_line_tells_the_joint_that_differs_most(log):
     line = live.summary_line(Tracks(logs, scene_of(log)))
     angle = np.degrees(log.array("joint/position")[-1, knee])
     assert f"left knee: measured {angle:.1f} deg, simulated {angle + np.degrees(0.2):.1f} deg" in line
-    assert line.endswith("all joints 10.0 mrad apart")
+    assert line.endswith("mean difference of all joints 10.0 mrad")
 
 
 def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):
@@ -110,7 +110,7 @@ def test_op3_view_follows_a_run_on_a_terminal(log, tmp_path):
     said = b""
     while chunk := _read(ours):
         said += chunk
-    assert b"deg; all joints" in said
+    assert b"deg; mean difference of all joints" in said
     assert process.wait(60) == 0 or b"cannot render" in said, said
     assert (tmp_path / "video.mp4").is_file() or b"cannot render" in said
 

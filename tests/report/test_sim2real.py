@@ -44,7 +44,7 @@ def test_falls_on_the_way_to_the_end_pose_are_falls():
     assert one.success
     assert not one.settled
     said = "the robot reaches 90 % (95 %: 76 to 104 %) of the expected return"
-    assert one.achieved == f"{said}, and falls in 3 of 4 episodes, 3 of them on the way to the end pose"
+    assert one.achieved == f"{said}, and falls in 3 of 4 episodes, 3 of them while moving to the end pose"
 
 
 def told(folder: Path, transfers, learned=None, condition="reidentified", **more) -> str:

@@ -54,7 +54,7 @@ def test_single_log_kinds(shelf):
     """A folder that holds no log, an unknown ending and metadata.yaml itself are recognised."""
     with pytest.raises(LogError, match=r"no metadata\.yaml"):
         read_log(shelf)
-    with pytest.raises(LogError, match=r"'\.txt' is not that of a log"):
+    with pytest.raises(LogError, match=r"'\.txt' is not a log format"):
         read_log(shelf / "notes.txt")
     assert read_log(shelf / "a" / "metadata.yaml").rows == 5
 

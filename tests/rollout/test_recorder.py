@@ -119,7 +119,7 @@ def test_empty_and_occupied_folders(tmp_path):
         pass
     assert list(tmp_path.iterdir()) == []
     rollout().save(tmp_path / "run")
-    with pytest.raises(FileExistsError, match="it exists already"):
+    with pytest.raises(FileExistsError, match="it already exists"):
         Recorder(tmp_path / "run", metadata())
     recorder = Recorder(tmp_path / "other", metadata())
     recorder.append(next(rows_of(arrays())))

@@ -280,7 +280,7 @@ def test_of_two_that_save_at_once_one_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "op3.common.writing._temporary", lambda path: path.with_name(f".{path.name}.{random.random()}.tmp")
     )
-    with pytest.raises(FileExistsError, match="it exists already"):
+    with pytest.raises(FileExistsError, match="it already exists"):
         mine.save(tmp_path / "run")
     assert_same(Rollout.load(tmp_path / "run"), its)
     assert [file.name for file in tmp_path.iterdir()] == ["run"]

@@ -204,7 +204,7 @@ def test_an_effect_where_there_is_no_joint():
     """It is refused with the joints there are, as is a name that the table does not hold."""
     with pytest.raises(ValueError, match="cannot sit in 'tail'; the joints are head_pan"):
         list(record(Hidden("coulomb", 0.1, ("tail",))))
-    with pytest.raises(ValueError, match="nothing called 'rust'"):
+    with pytest.raises(ValueError, match="'rust' cannot be hidden"):
         Hidden("rust", 1.0)
     with pytest.raises(ValueError, match="there is no robot 'dog' of a case; choose op3"):
         draw_case(1, robot="dog")

@@ -215,7 +215,7 @@ def test_a_push_throws_a_robot_off():
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", True])
 def test_bad_seeds(seed):
     """A seed is a whole number of at least 0."""
-    with pytest.raises(ValueError, match="seed must be a whole number"):
+    with pytest.raises(ValueError, match="seed must be an integer"):
         StandIn(HiddenWorld(), build_scene("stand", "op3"), seed=seed)
 
 
