@@ -45,8 +45,7 @@ def drive(view: View) -> Found:
         # a sensor's zero: the mean remainder where the law explains nearly all of the current
         far = np.abs(zero) > np.maximum(_ZERO, 0.02 * np.abs(values).max(0))
         for joint in np.flatnonzero(known & clear & ~off & far & (key == CURRENT)):
-            problem = f"current differs from gain times error by {zero[joint]:+.2g} A on average: "
-            problem += "the sensor has an offset"
+            problem = f"current differs from gain times error by {zero[joint]:+.2g} A on average: its zero is off"
             if abs(zero[joint]) > 5 * _ZERO and gain is not None:  # too large for a sensor's offset
                 problem += f", or the position is off by {zero[joint] / float(np.median(gain[rows, joint])):+.2g} rad"
             yield view.found((key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")

@@ -108,8 +108,8 @@ def _velocity_stands(view: View, joint: int, velocity: np.ndarray, rows: int) ->
     fastest = speed[np.abs(speed - velocity[first]).argmax()]
     # a velocity may be constant while the joint is slower than one step of it
     if abs(fastest - velocity[first]) > max(0.15, 3 * view.steps(VELOCITY)[joint]):
-        problem = f"velocity stays at {velocity[first]:.4g} rad/s for {length} rows, while the joint moves at up to "
-        problem += f"{fastest:.3g} rad/s"
+        stays = f"velocity stays at {velocity[first]:.4g} rad/s for {length} rows"
+        problem = f"{stays}, while the joint moves at up to {fastest:.3g} rad/s"
         yield view.found((VELOCITY, joint), problem, _REPAIR, first, first + length, aside=True)
 
 
@@ -125,10 +125,8 @@ def _position_stands(view: View, joint: int, position: np.ndarray) -> Found:
     others = np.flatnonzero(np.ptp(view.position, axis=0)) if dead and asked > 0.1 else []
     command, error = view.command[:, others], view.error[:, others]  # of joints that follow by less than it should
     follow = error.size >= 20 and view.driven[:, others].all() and np.ptp(command, axis=0).max() > 0.7 * asked
-    moves = asked > (0.4 if view.metadata.mount in HOLDING else _STICKS) or (
-        follow and asked > 1.5 * np.ptp(error, axis=0).max()
-    )
-    if moves:
+    far = asked > (0.4 if view.metadata.mount in HOLDING else _STICKS)
+    if far or (follow and asked > 1.5 * np.ptp(error, axis=0).max()):
         problem = f"position stays at {position[first] + 0.0:.4g} rad while its command moves by {asked:.3g} rad"
         all_dead = dead and bool((np.ptp(view.position, axis=0) == 0).all())
         remedy, aside = "check whether the joint is blocked or its sensor is dead", dead and not all_dead

@@ -95,11 +95,8 @@ def command(view: View) -> Found:
         elif moves and (mirrored[joint] or against[joint]) and not late[joint]:
             why = ": one of the two signs is reversed" if mirrored[joint] else f" (correlation {own[0, joint]:.2f})"
             why += f", or its column was swapped with that of {other}" if other and mirrored[joint] else ""
-            problem, remedy, error = (
-                f"the position moves opposite to its command{why}",
-                _SIGNS,
-                wrong and mirrored[joint],
-            )
+            problem, remedy = f"the position moves opposite to its command{why}", _SIGNS
+            error = wrong and mirrored[joint]
         elif other:
             problem = f"the position follows the command of {other}: the columns of the two are swapped{turns}"
             remedy = "swap their names under `columns:` in the YAML"
