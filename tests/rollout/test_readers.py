@@ -40,7 +40,7 @@ from op3.rollout.importing import side_path
 from op3.rollout.proposal import as_yaml, propose
 from op3.rollout.readers import readers
 from op3.rollout.readers.reader import Recording, Stream
-from op3.rollout.readers.ros import _imu
+from op3.rollout.readers.ros_messages import trunk
 
 FOREIGN = SERVO_BENCH.parent / "foreign"
 
@@ -478,7 +478,7 @@ def test_a_quaternion_that_is_none_gives_no_orientation(size):
     message = SimpleNamespace(
         orientation=quaternion, orientation_covariance=[0.0] * 9, angular_velocity=vector, linear_acceleration=vector
     )
-    assert set(_imu(message)) == {f"imu.{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"}
+    assert set(trunk(message)) == {f"imu.{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"}
 
 
 def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):

@@ -10,29 +10,25 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial.transform import Rotation
 
 from op3.rollout.errors import LogError
 from op3.rollout.finding import WARNING, LogFinding
-from op3.rollout.readers.reader import Recording, Stream, needed
+from op3.rollout.readers.reader import Recording, Stream
+from op3.rollout.readers.ros_messages import COMMAND_WORDS, messages, samples, seconds
 from op3.rollout.validate import INSTANT
 
-_COMMAND_WORDS = ("command", "cmd", "target", "goal", "desired", "reference")
 _LEADERS = ("leader", "master", "teleop")
 """Words in the topics of leaders, whose states are the targets of followers."""
 
 _FOLLOWERS = ("follower", "puppet", "slave")
 """First words in names of followers' joints, if the names of leaders' joints begin with one of `_LEADERS`."""
 
-_KINDS = {"position": "position", "velocity": "velocity", "effort": "load"}
-_ARRAYS = ("Float64MultiArray", "Float64")
 _TRAJECTORY_STEP = 0.01
 """Time between samples of a trajectory [s]."""
 
@@ -91,14 +87,14 @@ class Ros:
         """One recording with all joints that have both states and commands."""
         found: dict[tuple[str, str, tuple[str, ...]], Topic] = {}
         orders: dict[frozenset[str], tuple[str, ...]] = {}  # in the order of first occurrence
-        for name, kind, received, message in _messages(path):
+        for name, kind, received, message in messages(path):
             names = getattr(message, "name", getattr(message, "joint_names", ()))
             if len(set(names)) < len(names):
                 twice = next(one for one in names if list(names).count(one) > 1)
                 problem = f"{name} contains the joint {twice} twice in one message"
                 raise LogError(problem, "publish every joint under a unique name", source=path)
-            stamp = _seconds(message.header.stamp) if hasattr(message, "header") else 0.0
-            for told, points in _samples(name, kind, message):
+            stamp = seconds(message.header.stamp) if hasattr(message, "header") else 0.0
+            for told, points in samples(name, kind, message):
                 columns = orders.setdefault(frozenset(told), tuple(told))
                 topic = found.setdefault((name, kind, columns), Topic(name, kind, columns))
                 topic.rows.append([stamp if stamp > 0 else math.nan, received, *(float(told[c]) for c in columns)])
@@ -205,7 +201,7 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     here, there = ([n.rpartition(".")[0] for n in names if n.endswith(end)] for end in (".position", ".target"))
     if here and not there and not any(topic.is_array for topic in chosen.values()):
         problem = "no topic contains commands for these joints"
-        remedy = f"record the topic of the commands, whose name contains one of {', '.join(_COMMAND_WORDS)}"
+        remedy = f"record the topic of the commands, whose name contains one of {', '.join(COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
     alike = {} if {*here} & {*there} else {t: [s for s in here if _behind(s, t) or _behind(t, s)] for t in there}
     named = {f"{t}.target": f"{s[0]}.target" for t, s in alike.items() if len(s) == 1}
@@ -231,69 +227,6 @@ def _content(topic: Topic, names: list[str]) -> set[tuple[float, ...]]:
     """Values and times of some columns, in the order of time."""
     places = [2 + topic.columns.index(name) for name in names]
     return {(0.0 if math.isnan(row[0]) else row[0], *(row[place] for place in places)) for row in topic.rows}
-
-
-def _messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
-    """Topic, type, bag time [s] and content of messages that may describe joints or the trunk."""
-    highlevel, typesys = (needed(f"rosbags.{name}", "ros", path) for name in ("highlevel", "typesys"))
-    store = typesys.get_typestore(typesys.Stores.LATEST)
-    try:
-        with highlevel.AnyReader([path], default_typestore=store) as reader:
-            for connection, time, raw in reader.messages():
-                kind = connection.msgtype.rpartition("/")[2]
-                if kind in ("JointState", "Imu", *_ARRAYS) or "Trajectory" in kind or "Controller" in kind:
-                    yield connection.topic, kind, time * 1e-9, reader.deserialize(raw, connection.msgtype)
-    except Exception as error:  # a damaged bag may raise any error in the parsers of three formats
-        problem = f"the bag cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
-        mcap = path.suffix == ".mcap" or any(path.glob("*.mcap"))
-        mends = "rosbag reindex" if path.suffix == ".bag" else "mcap recover" if mcap else "ros2 bag reindex"
-        raise LogError(problem, f"copy all its files again, or repair it with `{mends}`", source=path) from None
-
-
-Points = tuple[np.ndarray, np.ndarray]
-"""Times of a trajectory's points from its start [point], and positions [point, joint]."""
-
-
-def _samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, float], Points | None]]:
-    """Numbers in a message by column, and the points of a trajectory."""
-    commanded = any(word in topic.lower() for word in _COMMAND_WORDS)
-    for part in ("goal", "trajectory"):
-        message = getattr(message, part, message)
-    joints = [
-        name.strip("/").replace("/", "_") for name in getattr(message, "joint_names", getattr(message, "name", ()))
-    ]
-    if kind == "Imu":
-        yield _imu(message), None
-    elif kind == "JointState":
-        for name, ours in [("position", "target")] if commanded else _KINDS.items():
-            numbers = getattr(message, name)
-            if len(numbers) == len(joints) > 0:
-                yield {f"{joint}.{ours}": number for joint, number in zip(joints, numbers, strict=True)}, None
-    elif kind in _ARRAYS:
-        if commanded and np.size(message.data):
-            yield {f"#{number}": value for number, value in enumerate(np.atleast_1d(message.data))}, None
-    elif hasattr(message, "joint_names"):
-        columns = [f"{joint}.target" for joint in joints]
-        wanted = (p for name in ("reference", "desired") if (p := getattr(message, name, None)) is not None)
-        points = list(getattr(message, "points", []))
-        path = [point for point in points or list(wanted)[:1] if len(point.positions) == len(columns) > 0]
-        if path:
-            goals = np.array([point.positions for point in path], dtype=float)
-            times = np.array([_seconds(point.time_from_start) if points else 0.0 for point in path])
-            yield dict(zip(columns, map(float, goals[-1]), strict=True)), (times, goals) if points else None
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + float(stamp.nanosec) * 1e-9
-
-
-def _imu(message: Any) -> dict[str, float]:
-    sensed, q = {"gyro": message.angular_velocity, "acc": message.linear_acceleration}, message.orientation
-    told = {f"imu.{sensor}_{axis}": getattr(vector, axis) for sensor, vector in sensed.items() for axis in "xyz"}
-    if message.orientation_covariance[0] != -1 and 0.7 < math.hypot(q.w, q.x, q.y, q.z) < 1.4:
-        angles = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX").tolist()
-        told |= zip(("imu.yaw", "imu.pitch", "imu.roll"), angles, strict=True)
-    return told
 
 
 def _streams(topics: list[Topic], path: Path, doubts: list[LogFinding]) -> list[Stream]:
