@@ -322,8 +322,8 @@ def transfers(table: Path) -> Image.Image:
     curves.set(xlabel="environment steps", ylabel="mean return of the evaluations")
     parameters.plot([0, 1], [0, 1], color=MUTED, lw=0.8)
     parameters.set(xlabel="hidden value, 0 to 1 in Table I", ylabel="identified value")
-    parameters.legend(fontsize=5, loc="upper left", handletextpad=0)
-    returns.set(xlabel="robot", ylabel="return R_eval", ylim=(0, None))
+    parameters.legend(fontsize=6, loc="upper left", bbox_to_anchor=(0.98, 1.02), handletextpad=0)
+    returns.set(xlabel="robot", ylabel="return R_eval", xticks=range(1, len(cells) + 1))
     above(returns)
     return drawn(figure)
 
