@@ -201,7 +201,7 @@ def taken(folder: Path) -> str | None:
 
 def _asked_folder(config: str, kind: str, arguments: Sequence[str]) -> Path | None:
     """The folder that the overrides name, or the config where it is always the same."""
-    found = [re.match(rf"\+*hydra\.{kind}\.dir=(.+)", word) for word in arguments]
+    found = [re.match(r"\+*hydra\.(?:run|sweep)\.dir=(.+)", word) for word in arguments]
     found.append(re.search(rf"^  {kind}:\n    dir: (outputs/\w+)$", _text(config), re.MULTILINE))
     return next((Path(one[1].strip("'\"")) for one in found if one), None)
 

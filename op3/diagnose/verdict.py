@@ -162,6 +162,7 @@ class Verdict:
         odd = f" No effect of the catalogue explains the remaining torque of {', '.join(flagged)}." if flagged else ""
         if not self.findings:
             said = "These logs show no missing effect." if not flagged else "No effect of the catalogue is named."
+            said = " ".join([said, *self.cannot_tell])
         else:
             said = "; ".join(_stated(finding) for finding in self.findings)
             said = f"The model does not include {said}."

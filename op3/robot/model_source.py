@@ -10,6 +10,7 @@ Tendons, other equalities, sensors and keyframes are not used.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
@@ -210,7 +211,7 @@ def _of_package(file: str, model: Path) -> Path:
     above = [model.parent, *model.parent.parents][:4]
     tried = [place / rest for place in above] + [place / package / rest for place in above]
     tried += [model.parent / folder / Path(rest).name for folder in ("", "meshes", "assets")]
-    found = next((path for path in tried if path.is_file()), None)
+    found = next((path for path in tried if os.path.isfile(path)), None)
     if found is None:
         raise ValueError(
             f"mesh package://{package}/{rest} was not found: put the folder {package!r} beside {model.name}, or write"
