@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 from collections.abc import Iterable, Mapping
 from functools import cached_property, lru_cache
 from math import pi
@@ -347,7 +348,7 @@ def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 def _source(file: DataFile, path: Path, content: RobotFile) -> tuple[mujoco.MjModel, ModelSource]:
     """The compiled model with its base fixed, and its source."""
-    if not path.is_file():
+    if not os.path.isfile(path):  # False also for a name that is too long
         raise file.fault(("model",), f"names {path}, where there is no file")
     try:
         source = read_model(path, content)

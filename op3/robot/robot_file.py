@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Mapping
 from math import pi
 from pathlib import Path
@@ -340,7 +341,7 @@ def _make(file: DataFile, content: RobotFile, joint: str) -> ServoMake:
     path = servo_path(file.path, named)
     if isinstance(path, str) and named.lower() not in servo_files():
         raise file.unknown(place, "servo", named, servo_files())
-    if isinstance(path, Path) and not path.is_file():
+    if isinstance(path, Path) and not os.path.isfile(path):
         raise file.fault(place, f"names {path}, where there is no file")
     make = load_servo(path)
     if content.loop == "firmware" and make.position_law is None:

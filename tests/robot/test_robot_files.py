@@ -173,6 +173,7 @@ def test_robots_travel_between_processes(tmp_path):
         ({"home: 0.4": "home: 4"}, r"line 9: joints.j1.home is 4 rad, outside its limits -1.5 to 1.5"),
         ({"home: 0.4": "hmoe: 4"}, r"line 9: joints.j1.hmoe is not a field; the nearest is 'home'"),
         ({"four.xml": "for.xml"}, r"line 3: model names .*for.xml, where there is no file"),
+        ({"four.xml": "f" * 400}, r"line 3: model names .*ffff, where there is no file"),
         (
             {"fixed: true": "fixed: true\nimu: eye"},
             r"line 6: imu names the site 'eye', which does not exist; there are none",
