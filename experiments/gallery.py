@@ -7,6 +7,7 @@ import argparse
 import io
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import matplotlib
@@ -37,7 +38,7 @@ from op3.tasks.evaluation import evaluation_return
 from op3.tasks.task import find_task
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
-PICTURES: dict[str, Callable[..., Image.Image]] = {}
+PICTURES: dict[str, Callable[[], Image.Image]] = {}
 """What draws each picture, by name."""
 
 
@@ -72,7 +73,7 @@ def strip(frames: np.ndarray, top: int = 40, height: int = 400) -> Image.Image:
     return Image.fromarray(np.concatenate([frame[top : top + height, 90:390] for frame in frames], axis=1))
 
 
-def picture(draw: Callable[..., Image.Image]) -> Callable[..., Image.Image]:
+def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
     """Enter a function under its name."""
     PICTURES[draw.__name__] = draw
     return draw
@@ -295,7 +296,6 @@ def bricks() -> Image.Image:
     return strip(np.stack(frames), top=80)
 
 
-@picture
 def transfers(table: Path) -> Image.Image:
     """Excitation only: learning curves, identified parameters, and returns of every robot of a table of transfers."""
     figure, (curves, parameters, returns) = panels(1, 3, 3.2, width_ratios=(1, 1, 1.2))
@@ -303,17 +303,20 @@ def transfers(table: Path) -> Image.Image:
     if not cells:
         raise SystemExit(f"{table} has no finished cells of a table of transfers; run op3 transfers, or give --table")
     names = {name.removeprefix("parameters.") for name in read_result(cells[0].parent / "identify" / "result.yaml")}
-    searched = [one for effect in catalogue().values() for one in effect.parameters if one.name in names]
+    searched = [
+        parameter for effect in catalogue().values() for parameter in effect.parameters if parameter.name in names
+    ]
     for number, cell in enumerate(cells):
         folder, result = cell.parent, read_result(cell)
-        learned, found = (read_result(folder / stage / "result.yaml") for stage in ("0_train", "identify"))
-        curves.plot(learned["learning.steps"], learned["learning.return"], color=MUTED, lw=0.8)
-        true = HiddenWorld.find(result["world"], 0)
-        for colour, one in enumerate(searched):
-            both = getattr(true, one.name), found[f"parameters.{one.name}"]["value"]
-            place = [(value - one.low) / (one.high - one.low) for value in both]
-            label = words(one.name) if number == 0 else None
-            parameters.plot(*place, ".", color=plt.get_cmap("tab10")(colour), label=label)
+        training, identified = (read_result(folder / stage / "result.yaml") for stage in ("0_train", "identify"))
+        curves.plot(training["learning.steps"], training["learning.return"], color=MUTED, lw=0.8)
+        hidden = HiddenWorld.find(result["world"], 0)
+        for colour, parameter in enumerate(searched):
+            name, low, high = parameter.name, parameter.low, parameter.high
+            values = getattr(hidden, name), identified[f"parameters.{name}"]["value"]
+            shares = [(value - low) / (high - low) for value in values]
+            label = words(name) if number == 0 else None
+            parameters.plot(*shares, ".", color=plt.get_cmap("tab10")(colour), label=label)
         promised = read_result(folder / "0_expected" / "result.yaml")["evaluation.returns"]
         obtained = [evaluation_return(log, JUDGED[result["task"]]) for log in read_logs(folder / "0_robot")]
         for values, side, colour, label in ((promised, -0.15, 1, "expected"), (obtained, 0.15, 0, "on the robot")):
@@ -331,15 +334,15 @@ def transfers(table: Path) -> Image.Image:
 def main() -> None:
     """Draw the pictures that are asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("pictures", nargs="+", choices=sorted(PICTURES), help="which")
+    parser.add_argument("pictures", nargs="+", choices=sorted([*PICTURES, "transfers"]), help="which")
     parser.add_argument("--out", type=Path, default=IMAGES, help="folder")
     parser.add_argument("--table", type=Path, default="outputs/transfer_table", help="table of transfers to draw")
     options = parser.parse_args()
+    PICTURES["transfers"] = partial(transfers, options.table)
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.pictures:
         path = options.out / f"{name}.webp"
-        given = [options.table] if name == "transfers" else []
-        PICTURES[name](*given).save(path, quality=82, method=6)
+        PICTURES[name]().save(path, quality=82, method=6)
         print(f"{path}, {-(-path.stat().st_size // 1000)} kB")
 
 

@@ -143,8 +143,8 @@ def record_kept(folder: Path | None) -> Iterator[None]:
     record = {} if folder is None else {file: file.read_bytes() for file in (folder / ".hydra").glob("*.yaml")}
     try:
         yield
-    except SystemExit as end:
-        if end.code == 1:
+    except SystemExit as stop:
+        if stop.code == 1:
             for file, content in record.items():
                 file.write_bytes(content)
         raise

@@ -95,6 +95,8 @@ def connect(
     """
     if mount not in ("floor", "stand"):
         raise ValueError(f"mount must be floor or stand, got {mount!r}")
+    if not port:
+        raise ValueError("port is empty: give a device such as port=/dev/ttyUSB0, or port=emulated")
     known = load_robot(robot)
     offsets = None if calibration is None else Calibration.load(calibration, known)
     if port == EMULATED:

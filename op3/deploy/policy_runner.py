@@ -253,7 +253,7 @@ def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
     """Replay the sensor readings of an episode through a policy and compare; rows have the loop's or policy's rate.
 
     Raises:
-        ValueError: if the log lacks a channel, has another rate, or was recorded with another kind of policy.
+        ValueError: if a channel is missing in the log, or if rate or kind of policy differ.
     """
     sensed = ("joint/position", "joint/velocity", "imu/orientation", "imu/angular_velocity")
     for key in ("policy/action", *sensed):

@@ -58,7 +58,7 @@ class TrajectoryLoss:
         """Indices of the focusing joints in a log's joint axis.
 
         Raises:
-            LogError: if the log lacks one of them.
+            LogError: if the log does not contain one of them.
         """
         missing = [joint for joint in self.joints if joint not in log.joints]
         if missing:

@@ -86,7 +86,7 @@ def predict_logs(
         bench_timestep: simulation step of bench logs [s].
 
     Raises:
-        LogError: if a log lacks a joint, or a command that the model's servos need.
+        LogError: if a log does not contain a joint, or a command that the model's servos need.
     """
     replay = Replay(logs, bench_timestep=bench_timestep)
     return score_predictions(model, replay.run(model), joints=joints, seed=seed, simulated_seconds=replay.seconds)

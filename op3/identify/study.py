@@ -318,8 +318,10 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
             " (hydra.run.dir), storage or study_name, or repeat the original command."
         )
     known = attributes.get("identity", {})
-    if identity is not None and known != identity and study.get_trials(deepcopy=False):
-        differs = [part for part in {**identity, **known} if known.get(part) != identity.get(part)]
+    differs = [part for part in {**(identity or {}), **known} if identity and known.get(part) != identity.get(part)]
+    if how.seed is not None and attributes.get("seed", how.seed) != how.seed:
+        differs.append("seed")
+    if differs and study.get_trials(deepcopy=False):
         raise StudyError(
             f"The stored study {name!r} has other {', '.join(differs)} than this run: choose another folder"
             " (hydra.run.dir), storage or study_name, or repeat the original command."
@@ -328,11 +330,6 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
         study.set_user_attr("identity", dict(identity))
     if "search_space" not in attributes:
         study.set_user_attr("search_space", space)
-    if how.seed is not None and attributes.get("seed", how.seed) != how.seed and study.get_trials(deepcopy=False):
-        raise StudyError(
-            f"The stored study {name!r} was started with seed={attributes['seed']}: choose another folder"
-            " (hydra.run.dir), storage or study_name, or repeat the original command."
-        )
     seed = attributes.get("seed", secrets.randbits(31)) if how.seed is None else how.seed
     if attributes.get("seed") != seed:
         study.set_user_attr("seed", seed)

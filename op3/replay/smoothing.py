@@ -184,7 +184,7 @@ def smooth(log: Rollout, sensing: VelocitySensing | None = None, period: float |
         period: period of the grid [s]; by default the log's row interval.
 
     Raises:
-        LogError: if it lacks positions or commands, or is too short.
+        LogError: if it has no positions or commands, or is too short.
     """
     time = log.array("time")[:, 0] - log.array("time")[0, 0]
     period = period or period_of(log)

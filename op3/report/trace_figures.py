@@ -44,8 +44,8 @@ def traces_figure(
     """Measured and simulated traces: one row per moving joint, each right joint below its left partner, and one column
     per quantity.
 
-    Angles are drawn in degrees, with the command dotted. Quantities that the log lacks have no column, and quantities
-    that a prediction lacks have no trace.
+    Angles are drawn in degrees, with the command dotted. Quantities that are not in the log have no column, and
+    quantities that are not in a prediction have no trace.
 
     Args:
         log: measured log without an episode axis.

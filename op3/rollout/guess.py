@@ -118,8 +118,8 @@ def _of_path(name: str) -> str:
         return name
     index = re.search(r"\d+(?=\]?$)", parts[-1])
     own = next((part for part, is_about in zip(parts[::-1], about[::-1], strict=True) if not is_about), "")
-    told = "command " if commands & said and not {*_SENSED} & said else "error " if "error" in said else ""
-    return f"{index[0] if index and about[-1] else own} {told}{kinds[0]}"
+    prefix = "command " if commands & said and not {*_SENSED} & said else "error " if "error" in said else ""
+    return f"{index[0] if index and about[-1] else own} {prefix}{kinds[0]}"
 
 
 def _joint(name: str, joints: Sequence[str]) -> str:

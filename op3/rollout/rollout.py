@@ -86,7 +86,7 @@ class Rollout:
         """The robot that has these joints.
 
         Raises:
-            LogError: if its file is missing or invalid, or lacks one of the joints.
+            LogError: if its file is missing or invalid, or has not all of the joints.
         """
         robot = self.named_robot
         other = [joint for joint in self.joints if joint not in robot.joints]

@@ -94,12 +94,12 @@ class Ros:
                 problem = f"{name} contains the joint {twice} twice in one message"
                 raise LogError(problem, "publish every joint under a unique name", source=path)
             stamp = seconds(message.header.stamp) if hasattr(message, "header") else 0.0
-            for told, points in samples(name, kind, message):
-                columns = orders.setdefault(frozenset(told), tuple(told))
+            for numbers, points in samples(name, kind, message):
+                columns = orders.setdefault(frozenset(numbers), tuple(numbers))
                 topic = found.setdefault((name, kind, columns), Topic(name, kind, columns))
-                topic.rows.append([stamp if stamp > 0 else math.nan, received, *(float(told[c]) for c in columns)])
+                topic.rows.append([stamp if stamp > 0 else math.nan, received, *(float(numbers[c]) for c in columns)])
                 if points is not None:
-                    order = [list(told).index(column) for column in columns]
+                    order = [list(numbers).index(column) for column in columns]
                     topic.paths.append((points[0], points[1][:, order]))
         doubts: list[LogFinding] = []
         _one_publisher(topics := list(found.values()), path, doubts)
@@ -171,7 +171,7 @@ def _stands_singly(rows: np.ndarray, time: np.ndarray) -> bool:
 def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     """One topic for each group of columns. Relayed topics are omitted and states of a leader are commands; two
     different topics, or states without commands, are errors."""
-    told = any(topic.ends("target") or topic.is_array for topic in topics)
+    has_commands = any(topic.ends("target") or topic.is_array for topic in topics)
     states = [topic for topic in topics if topic.kind == "JointState" and topic.ends("position")]
     joints = {column.rpartition(".")[0] for topic in states for column in topic.columns}
     for topic in (one for one in topics if one.columns == ("#0",)):  # of a joint that its topic may name
@@ -181,7 +181,7 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     leads = [topic for topic in states if any(word in topic.name.lower() for word in _LEADERS)]
     if leads and len(leads) < len(states):
         names = {topic.name for topic in leads}
-        topics = [topic for topic in topics if topic.name not in names or (topic in leads and not told)]
+        topics = [topic for topic in topics if topic.name not in names or (topic in leads and not has_commands)]
         for topic in leads:
             topic.columns = tuple(column.replace(".position", ".target") for column in topic.columns)
     chosen: dict[tuple[str, ...], Topic] = {}

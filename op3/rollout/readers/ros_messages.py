@@ -34,8 +34,8 @@ def messages(path: Path) -> Iterator[tuple[str, str, float, Any]]:
     except Exception as error:  # a damaged bag may raise any error in the parsers of three formats
         problem = f"the bag cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
         mcap = path.suffix == ".mcap" or any(path.glob("*.mcap"))
-        mends = "rosbag reindex" if path.suffix == ".bag" else "mcap recover" if mcap else "ros2 bag reindex"
-        raise LogError(problem, f"copy all its files again, or repair it with `{mends}`", source=path) from None
+        command = "rosbag reindex" if path.suffix == ".bag" else "mcap recover" if mcap else "ros2 bag reindex"
+        raise LogError(problem, f"copy all its files again, or repair it with `{command}`", source=path) from None
 
 
 def samples(topic: str, kind: str, message: Any) -> Iterator[tuple[dict[str, float], Points | None]]:
@@ -75,8 +75,8 @@ def seconds(stamp: Any) -> float:
 def trunk(message: Any) -> dict[str, float]:
     """Readings of an IMU message by column; angles only if its orientation is valid."""
     sensed, q = {"gyro": message.angular_velocity, "acc": message.linear_acceleration}, message.orientation
-    told = {f"imu.{sensor}_{axis}": getattr(vector, axis) for sensor, vector in sensed.items() for axis in "xyz"}
+    readings = {f"imu.{sensor}_{axis}": getattr(vector, axis) for sensor, vector in sensed.items() for axis in "xyz"}
     if message.orientation_covariance[0] != -1 and 0.7 < math.hypot(q.w, q.x, q.y, q.z) < 1.4:
         angles = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX").tolist()
-        told |= zip(("imu.yaw", "imu.pitch", "imu.roll"), angles, strict=True)
-    return told
+        readings |= zip(("imu.yaw", "imu.pitch", "imu.roll"), angles, strict=True)
+    return readings
