@@ -169,6 +169,7 @@ def main(cfg: DictConfig, truth: Callable[[], str] | None = None) -> Diagnosed:
     if others:
         content["mount"] = logs[0].metadata.mount
         content["other_mounts"] = on_other_mounts(verdict.base, verdict.model, others, cfg.seed)
+    save_model(verdict.base, folder / "baseline.yaml")
     save_model(verdict.model, folder / "model.yaml")
     if attempted is not None:
         content["downstream"] = returns(cfg, verdict, *attempted)
