@@ -39,7 +39,7 @@ from op3.tasks.task import find_task
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 PICTURES: dict[str, Callable[[], Image.Image]] = {}
-"""What draws each picture, by name."""
+"""Drawing function of each picture, by name."""
 
 
 plt.switch_backend("Agg")
@@ -74,7 +74,7 @@ def strip(frames: np.ndarray, top: int = 40, height: int = 400) -> Image.Image:
 
 
 def picture(draw: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
-    """Enter a function under its name."""
+    """Register a function under its name."""
     PICTURES[draw.__name__] = draw
     return draw
 
@@ -113,7 +113,7 @@ def walk() -> Image.Image:
 
 @picture
 def ankle() -> Image.Image:
-    """What the shipped walk commands to an ankle over the gait: means and standard deviations of 20 episodes."""
+    """Commands of the shipped walk to an ankle over the gait: means and standard deviations of 20 episodes."""
     bundle, task = PolicyBundle.load("assets/policies/walk"), find_task("walk")
     env = BatchedEnv(task, load_model("paper"), 20, 901, action_map=bundle.manifest.action_map)
     profile = gait_profile(record_episodes(env, bundle), task, "r_ank_pitch")
@@ -133,7 +133,7 @@ def ankle() -> Image.Image:
 
 @picture
 def named_effect() -> Image.Image:
-    """A leg whose gear loses more than the model knows: measured, simulated before, and after a diagnosis named it."""
+    """A leg with an unmodelled gear loss: measured, and simulated before and after a diagnosis."""
     case = draw_case(7, "single", "strong", "dte", robot="leg")
     with tempfile.TemporaryDirectory() as folder:
         logs, _ = diagnosed_mount(read_logs(make_case(case, folder, Path(folder) / "answers") / "data"))
@@ -169,7 +169,7 @@ def named_effect() -> Image.Image:
 
 @picture
 def gear() -> Image.Image:
-    """Directional efficiency: between which motor torques a loaded joint rests."""
+    """Directional efficiency: the range of motor torques at which a loaded joint rests."""
     load = np.linspace(-3, 3, 241)
     figure, axes = panels(1, 3, 2.8, sharey=True)
     for axis, efficiency in zip(axes, (1.0, 0.8, 0.6), strict=True):
@@ -194,7 +194,7 @@ def friction_bound(model: RobotModel, velocity: np.ndarray, load: float) -> np.n
 
 @picture
 def friction() -> Image.Image:
-    """What the models of the STS3032 say of its friction, without load and with."""
+    """Friction in the models of the STS3032, with and without load."""
     velocity = np.linspace(0.0, 6.0, 121)
     figure, axes = panels(1, 2, 2.8, sharey=True)
     for axis, load in zip(axes, (0.0, 0.5), strict=True):
@@ -208,7 +208,7 @@ def friction() -> Image.Image:
 
 @picture
 def worlds() -> Image.Image:
-    """One squat, commanded alike, of four hidden robots."""
+    """The same squat of four hidden robots."""
     figure, axes = panels(2, 1, 4.0, sharex=True)
     for name in ("default", "eta_060", "eta_080", "robot_5"):
         log = StandIn(HiddenWorld.find(name), build_scene("floor", "op3"), seed=0).play(
@@ -226,7 +226,7 @@ def worlds() -> Image.Image:
 
 @picture
 def excitations() -> Image.Image:
-    """Motions that make parameters visible."""
+    """Motions that make parameters identifiable."""
     knee = {"l_knee": 0.4}
     motions: dict[str, Motion] = {
         "chirp": chirp(knee, low=0.3, high=4.0, duration=8.0, robot="op3"),
@@ -245,7 +245,7 @@ def excitations() -> Image.Image:
 
 @picture
 def voltage() -> Image.Image:
-    """What an XM430-W350 can still pull at speed: the supply's voltage less the motor's own."""
+    """Torque of an XM430-W350 over speed, limited by the supply voltage minus the back-EMF."""
     speed = np.linspace(0, 6, 121)
     model = load_model("paper")
     constant = 353.5 * model.value("torque_constant")
@@ -260,7 +260,7 @@ def voltage() -> Image.Image:
 
 @picture
 def bus() -> Image.Image:
-    """Two ticks on the robot's bus: who speaks when."""
+    """Two ticks on the robot's bus: which device sends when."""
     from op3.deploy import HoldPose, Plan, connect, run
     from op3.deploy.emulator import read_frames
 
@@ -286,7 +286,7 @@ def bus() -> Image.Image:
 
 @picture
 def bricks() -> Image.Image:
-    """The grounds that the walk is judged on, with the robot put down among their bricks."""
+    """The grounds on which the walk is judged, with the robot among the bricks."""
     frames = []
     for name in ("bricks_a", "bricks_b", "bricks_c", "bricks_d"):
         scene = build_scene(name, "op3")
@@ -332,11 +332,11 @@ def transfers(table: Path) -> Image.Image:
 
 
 def main() -> None:
-    """Draw the pictures that are asked for."""
+    """Draw the requested pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("pictures", nargs="+", choices=sorted([*PICTURES, "transfers"]), help="which")
-    parser.add_argument("--out", type=Path, default=IMAGES, help="folder")
-    parser.add_argument("--table", type=Path, default="outputs/transfer_table", help="table of transfers to draw")
+    parser.add_argument("pictures", nargs="+", choices=sorted([*PICTURES, "transfers"]), help="pictures to draw")
+    parser.add_argument("--out", type=Path, default=IMAGES, help="folder of the pictures")
+    parser.add_argument("--table", type=Path, default="outputs/transfer_table", help="folder of the table of transfers")
     options = parser.parse_args()
     PICTURES["transfers"] = partial(transfers, options.table)
     options.out.mkdir(parents=True, exist_ok=True)

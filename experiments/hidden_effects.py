@@ -1,11 +1,11 @@
-"""Hide effects in robots, diagnose every robot from its logs alone, and count how often the names are right.
+"""Hide effects in robots, diagnose every robot from its logs alone, and count how often the names are correct.
 
 python experiments/hidden_effects.py [bench=ci|laptop|op3|full] [set=development|test] [hydra.run.dir=<folder>]
 python experiments/hidden_effects.py ranges=my_ranges.yaml  # other ranges of the robots
 python experiments/hidden_effects.py diagnose=false         # only record the cases and seal the answers
 
-The answers are sealed before the first diagnosis. The same command with the same hydra.run.dir continues where it
-stopped.
+The answers are sealed before the first diagnosis. The same command with the same hydra.run.dir continues after an
+interruption.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ INTERRUPTED = goes_on("cases")
 
 
 def run(cases: list[Case], folder: Path, answers: Path, command: Any, place: str, cfg: DictConfig) -> dict[str, Any]:
-    """Let a command of the config work on every case, with this interpreter for `python`: path of verdict by case."""
+    """Run a command of the config on every case, with this interpreter as `python`; return verdict paths by case."""
     filled = [sys.executable if part == "python" else str(part) for part in command]
     options = {"timeout": cfg.timeout, "keep_data": cfg.keep_data, "place": place}
     return run_all(
@@ -41,7 +41,7 @@ def run(cases: list[Case], folder: Path, answers: Path, command: Any, place: str
 
 
 def scores(cases: list[Case], answers: dict[str, Any], found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Every case of a diagnosis against its answer."""
+    """Scores of a diagnosis: every case compared with its answer."""
     rows = []
     for case in cases:
         path = found[case.name]
@@ -53,7 +53,7 @@ def scores(cases: list[Case], answers: dict[str, Any], found: dict[str, Any]) ->
 def report(
     cases: list[Case], answers: dict[str, Any], found: dict[str, dict[str, Any]], folder: Path, cfg: DictConfig
 ) -> CommandResult:
-    """Score all that was found, by label, and write result.yaml, scores.yaml and the page."""
+    """Score all diagnoses by label, and write result.yaml, scores.yaml and the page."""
     scored = {label: scores(cases, answers, verdicts) for label, verdicts in found.items()}
     rows = scored["diagnosis"]
     summaries = {label.replace("_", " "): summarise(each) for label, each in scored.items()}
@@ -81,7 +81,7 @@ def report(
 
 
 def main(cfg: DictConfig) -> CommandResult | None:
-    """Draw, seal, record, diagnose, open, score."""
+    """Draw the cases, seal their answers, record and diagnose them, open the answers, and score."""
     folder = output_folder()
     mix: Any = OmegaConf.to_container(cfg.mix, resolve=True)
     cases = draw_mix(mix, cfg.set, cfg.first_seed, read_ranges(cfg.ranges))[: cfg.limit]

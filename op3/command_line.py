@@ -1,6 +1,6 @@
-"""``op3 <command> [overrides]``: all commands, with errors of one sentence.
+"""``op3 <command> [overrides]``: all commands, with one-sentence errors.
 
-The overrides are Hydra's, as of ``python experiments/<name>.py``; both go through `launch`. Wrong names are found
+The overrides are those of Hydra, as for ``python experiments/<name>.py``; both call `launch`. Wrong names are reported
 before the libraries of a command are imported.
 """
 
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run ``op3``.
 
     Args:
-        arguments: the command and what follows it; those of the process where None.
+        arguments: the command and its overrides; None: the arguments of the process.
     """
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `op3 --help | head` ends as other commands do
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -65,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def launch(app: str, module: str = "") -> None:
     """Run a command with the overrides of the process, as ``python experiments/<app>.py`` does.
 
-    Help that reads well, paths with any character, and wrong names in one sentence before anything heavy is imported.
+    Prints op3's own help, accepts paths with any character, and reports wrong names in one sentence before large
+    libraries are imported.
 
     Args:
         app: name of the config.
@@ -99,14 +100,14 @@ def _launch(app: str, module: str) -> None:
     parser.error = lambda message: end(f"{message}; settings are written setting=value, and --help lists them")
     parser.parse_args(sys.argv[1:])
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
-        end(f"{empty} is empty: give a folder, or leave it out")
+        end(f"{empty} is empty: give a folder, or omit this setting")
     sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     kind = _kind(app, sys.argv[1:])
     asked = _asked_folder(app, kind, sys.argv[1:])
     if asked is not None and (other := taken(asked)) not in (None, app):
-        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another")
+        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another folder")
     missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     folder = None
     with record_kept(asked):
@@ -139,7 +140,7 @@ def _launch(app: str, module: str) -> None:
 
 @contextmanager
 def record_kept(folder: Path | None) -> Iterator[None]:
-    """Keep Hydra's record of the run in a folder where a command that names the folder is refused."""
+    """Restore Hydra's record of an earlier run in a folder if the command that names the folder is refused."""
     record = {} if folder is None else {file: file.read_bytes() for file in (folder / ".hydra").glob("*.yaml")}
     try:
         yield
@@ -161,7 +162,7 @@ def choices_of_resumed(words: Sequence[str]) -> list[str]:
 
 
 def compare(folder: Path) -> None:
-    """Write one page over the finished runs of a multirun, and say where it is and which variants it has."""
+    """Write one page about the finished runs of a multirun, and print its path and its variants."""
     if len(list(folder.glob("*/result.yaml"))) < 2:
         return
     from op3.report.comparison_page import read_runs, variants, write_comparison
@@ -171,10 +172,10 @@ def compare(folder: Path) -> None:
 
 
 def claim(config: str, arguments: Sequence[str]) -> Path | None:
-    """A folder of the run's own, made at once, so that of two runs begun in the same second none writes to the other's.
+    """Create a separate folder for the run at once, so that two runs that start in the same second do not share one.
 
     Returns:
-        None where the user or the config names another place, or where nothing is run.
+        None if the user or the config names another folder, or if nothing is run.
     """
     flags = {word for word in arguments if word.startswith("-")} - {"-m", "--multirun"}
     if flags or any(re.match(r"\+*hydra\.(run|sweep)\.dir=", word) for word in arguments):
@@ -193,14 +194,14 @@ def claim(config: str, arguments: Sequence[str]) -> Path | None:
 
 
 def taken(folder: Path) -> str | None:
-    """The experiment whose run a folder holds; None where it holds none."""
+    """The experiment whose run is in a folder; None if there is none."""
     file = folder / ".hydra" / "hydra.yaml"
     found = re.search(r"^  job:\n    name: (\w+)", file.read_text("utf-8"), re.MULTILINE) if file.is_file() else None
     return found and found[1]
 
 
 def _asked_folder(config: str, kind: str, arguments: Sequence[str]) -> Path | None:
-    """The folder that the overrides name, or the config where it is always the same."""
+    """The folder that the overrides name, otherwise the config's folder if it is constant."""
     found = [re.match(r"\+*hydra\.(?:run|sweep)\.dir=(.+)", word) for word in arguments]
     found.append(re.search(rf"^  {kind}:\n    dir: (outputs/\w+)$", _text(config), re.MULTILINE))
     return next((Path(one[1].strip("'\"")) for one in found if one), None)
@@ -216,7 +217,7 @@ def _text(config: str) -> str:
 
 
 def leave(folder: Path, above: int = 0) -> None:
-    """Take secrets and paths out of what Hydra has written, and away what it has written of a run that left nothing."""
+    """Remove secrets and paths from Hydra's files, and delete the folder if the run has written nothing else."""
     for place in (folder, *folder.rglob(".hydra")):
         if place.is_dir():
             scrub_folder(place)
@@ -229,7 +230,7 @@ def leave(folder: Path, above: int = 0) -> None:
 
 
 def quoted(argument: str) -> str:
-    """An override whose value Hydra's grammar would not read as it stands, such as a path with blanks, in quotes."""
+    """An override with quotes if Hydra's grammar cannot read its value otherwise, such as a path with spaces."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
@@ -253,6 +254,6 @@ def _in_quotes(text: str) -> str:
 
 
 def end(sentence: str) -> NoReturn:
-    """Say what is wrong, and end with exit code 1."""
+    """Print the error, and end with exit code 1."""
     print(sentence, file=sys.stderr)
     raise SystemExit(1)

@@ -104,7 +104,10 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["deploy", "policy=hold"], "policy=hold: no such folder; give the folder of a policy bundle"),
         (["deploy", "policy=[x]"], "a path must be text, got ['x']"),
         (["train", "recipe=wlak"], "recipe=wlak: there is no 'wlak' in the group recipe; the nearest is 'walk'"),
-        (["design", "robot=spot"], "there is no robot 'spot'; there are arm, bench, op3, quadruped; or give the path"),
+        (
+            ["design", "robot=spot"],
+            "there is no robot 'spot'; there are arm, bench, op3, quadruped; give a valid name or the path",
+        ),
         (["design", "joints=[knee]"], "unknown joint 'knee' of op3; the nearest is 'r_knee'"),
         (["design", "mounts=[table]"], "mounts.0 must be one of 'floor' or 'stand', got 'table'"),
         (["compliance", "policy=stiff", "grounds=[]"], "grounds must be a list of length 1 or more, got []"),
@@ -212,7 +215,7 @@ def test_the_folder_of_another_command_is_not_written_over(op3, tmp_path):
     code, said = op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path)
     assert (code, said) == (
         1,
-        "hydra.run.dir is the folder of a run of identify, which would be overwritten: choose another",
+        "hydra.run.dir is the folder of a run of identify, which would be overwritten: choose another folder",
     )
     assert op3("identify", "data=x", "hydra.run.dir=run", cwd=tmp_path)[1].startswith("data=x: there is no such file")
     assert record.read_text() == "hydra:\n  job:\n    name: identify\n"

@@ -1,10 +1,10 @@
-"""Parameters of a real arm from half of its runs, and how well they predict the other half.
+"""Identify a real arm from half of its runs, and measure how well the model predicts the other half.
 
 python experiments/benchmarks/arm_logs.py <folder of SAGE pairs of an SO-101> [0 | 1]
 
 Runs are split by name: every second one is fitted, beginning with the first (0) or the second (1); the others are
-predicted open loop through MuJoCo. The fit runs whole logs as windows around the measured motion, which is some fifty
-times as fast: twice, the second time around the zeros that the first has found.
+predicted open loop through MuJoCo. The fit simulates whole logs as windows around the measured motion, which is about
+fifty times as fast. It runs twice, the second time around the encoder offsets of the first fit.
 """
 
 import argparse
@@ -31,10 +31,10 @@ PREROLL, STEPS = 4, 10
 """Rows that lead into a window, and steps of the simulation per row of about 20 ms."""
 
 EVERY = 5
-"""Rows between two at which the dynamics are computed; they are interpolated in between."""
+"""Spacing of the rows at which the dynamics are computed; they are interpolated between these rows."""
 
 ROBUST = 0.02
-"""Beyond this difference the loss grows linearly [rad]: a few rests at another place do not decide."""
+"""Difference above which the loss grows linearly [rad], so that a few deviating rest positions do not dominate."""
 
 SHARED: Mapping[str, tuple[float, float]] = {
     "controller_gain": (0.15, 1.5),
@@ -47,29 +47,29 @@ SHARED: Mapping[str, tuple[float, float]] = {
     "static_friction_excess": (0.0, 0.2),
     "backward_efficiency": (0.3, 1.0),
 }
-"""Ranges of what all servos share: they are of one make, and the firmware's gain is as the user has set it."""
+"""Ranges of parameters that all servos share: they are of one make, and the user may have set another firmware gain."""
 
 OWN: Mapping[str, tuple[float, float]] = {"encoder_offset": (-0.4, 0.4), "coulomb_friction": (0.0, 0.3)}
-"""Ranges of what each joint has of its own; the zeros of the robot's file are approximate."""
+"""Ranges of parameters that differ between joints; the zeros in the robot's file are approximate."""
 
 PLAIN = ("viscous_friction", "command_latency", "coulomb_friction")
-"""What the plain model of Coulomb and viscous friction searches of these, with the gain and the zeros of the files."""
+"""Parameters searched for the simple friction model, whose gain and zeros come from the files."""
 
 
 def whole_model() -> RobotModel:
-    """What the make says, with the zeros of the encoders and the start-up duty of the firmware."""
+    """The model of the servo make, with encoder offsets and the minimum duty of the firmware."""
     model = servo_model(load_robot("arm")).with_effect(effect_class("encoder_offset")(), {"encoder_offset": 0.0})
     model = model.with_effect(effect_class("minimum_duty")(), {"minimum_duty": 0.01, "minimum_duty_fade": 0.02})
     return model.with_values({"controller_gain": 0.6})
 
 
 class Windows:
-    """Whole logs of an arm, run around what was measured.
+    """Whole logs of an arm, simulated as windows around the measured motion.
 
     Args:
         model: effects and values.
-        logs: of one robot.
-        zeros: how far readings are from true angles by what is known, ``[joint]`` [rad].
+        logs: logs of one robot.
+        zeros: known differences of readings from true angles, ``[joint]`` [rad].
     """
 
     def __init__(self, model: RobotModel, logs: Sequence[Rollout], zeros: np.ndarray):
@@ -113,7 +113,7 @@ class Windows:
         return speed, np.gradient(speed, self.period, axis=0)
 
     def residuals(self, values: Mapping[str, Tensor], candidates: int) -> Tensor:
-        """What is left of every log, robust, ``[candidate, residual]``."""
+        """Robust residuals of all logs, ``[candidate, residual]``."""
         moved = dict(values)
         if "encoder_offset" in moved:
             moved["encoder_offset"] = moved["encoder_offset"] - torch.from_numpy(self.zeros)
@@ -134,7 +134,7 @@ def _between(field: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
 
 
 def fit(model: RobotModel, logs: Sequence[Rollout], searched: Sequence[str]) -> RobotModel:
-    """The model with what the logs say of its parameters, by least squares from where it is."""
+    """The model with parameters fitted to the logs by least squares, starting from its values."""
     joints = logs[0].joints
     bounds = {name: SHARED[name] for name in searched if name in SHARED}
     bounds |= {f"{name}@joint={joint}": OWN[name] for name in searched if name in OWN for joint in joints}
@@ -155,16 +155,16 @@ def fit(model: RobotModel, logs: Sequence[Rollout], searched: Sequence[str]) -> 
         start = {name: model.estimate(name).value for name in bounds}
         found = refine(residuals, Box.of(bounds), [start], max_iterations=12)
         model = model.with_values(found.values)
-        print(f"  left of the fitted runs {1e3 * found.loss**0.5:.1f} mrad, robust", flush=True)
+        print(f"  error of the fitted runs {1e3 * found.loss**0.5:.1f} mrad (robust)", flush=True)
     return model
 
 
 def main() -> None:
-    """Fit, predict, print."""
+    """Fit the models, predict the held-out runs, and print the errors."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("logs", help="folder of SAGE pairs of an SO-101")
-    parser.add_argument("first", type=int, nargs="?", default=0, choices=(0, 1), help="first run that is fitted")
+    parser.add_argument("logs", help="folder with SAGE pairs of an SO-101")
+    parser.add_argument("first", type=int, nargs="?", default=0, choices=(0, 1), help="index of the first fitted run")
     given = parser.parse_args()
     logs = read_logs(given.logs, "arm")
     fitted, withheld = logs[given.first :: 2], logs[1 - given.first :: 2]
@@ -173,7 +173,7 @@ def main() -> None:
     plain = whole.without("dte", "stribeck", "minimum_duty").with_values({"derivative_gain": 0.0})
     for label, model, searched in (
         ("Coulomb and viscous friction", plain.with_values({"controller_gain": 1.0}), PLAIN),
-        ("the same, gain and zeros too", plain, (*PLAIN, "controller_gain", "encoder_offset")),
+        ("the same, with controller gain and encoder offsets", plain, (*PLAIN, "controller_gain", "encoder_offset")),
         ("full model", whole, (*SHARED, *OWN)),
     ):
         started = time.process_time()
@@ -188,12 +188,12 @@ def main() -> None:
         for log, error in zip(withheld, errors, strict=True):
             print(f"  {log.metadata.recording:20s}" + "".join(f"{1e3 * one:7.1f}" for one in error))
         mean = 1e3 * np.mean(errors, 0)
-        print("  withheld runs, mrad   " + ", ".join(f"{j} {e:.1f}" for j, e in zip(logs[0].joints, mean, strict=True)))
+        print("  held-out runs, mrad   " + ", ".join(f"{j} {e:.1f}" for j, e in zip(logs[0].joints, mean, strict=True)))
         print(f"  mean {mean.mean():.1f} mrad", flush=True)
 
 
 def _spoken(model: RobotModel, names: Sequence[str]) -> str:
-    """Values found, those of joints beside each other."""
+    """Fitted values as text; values of single joints are listed one after the other."""
     rows = {name: model.tensors(load_robot("arm").joints)[name][0].tolist() for name in names}
     return "; ".join(f"{n} {', '.join(f'{v:.3g}' for v in (r if n in OWN else r[:1]))}" for n, r in rows.items())
 

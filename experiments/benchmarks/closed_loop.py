@@ -6,7 +6,7 @@ python experiments/benchmarks/closed_loop.py --robot arm3 --seed 320 --out outpu
 
 Robots: `arm3`, three joints of an OP3's arm; `leg`, one leg; `op3`, the whole robot, all on the stand. The errors in
 windows of the held-out runs are those of the given model, the baseline fit, the returned model, and the model with the
-hidden effect, fitted in the same way. Each case has a process of its own.
+hidden effect, fitted in the same way. Each case runs in a separate process.
 """
 
 import argparse
@@ -177,7 +177,7 @@ def diagnosed(case: Case) -> dict[str, Any]:
 
 
 def line(row: dict[str, Any]) -> str:
-    """One case in a line."""
+    """The result of a case as one line."""
     named = "; ".join(
         f"{one['effect']} in {one['joints']} {one['size']:g} p {one['probability']:.2f}" for one in row["findings"]
     )
@@ -193,8 +193,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", choices=sorted(PLACES), default="leg")
     parser.add_argument("--cases", default=",".join(FAULTS))
-    parser.add_argument("--seed", type=int, default=300, help="of the first robot; each case has the next")
-    parser.add_argument("--out", type=Path, help="file that gets all results")
+    parser.add_argument(
+        "--seed", type=int, default=300, help="seed of the first robot; each following case has the next seed"
+    )
+    parser.add_argument("--out", type=Path, help="file to which all results are written")
     given = parser.parse_args()
     cases = [case_of(fault, given.robot, given.seed + i) for i, fault in enumerate(given.cases.split(","))]
     rows = []

@@ -1,4 +1,4 @@
-"""What the check for collisions of the robot with itself costs in a tick of the control loop.
+"""Measure the time that the self-collision check takes in a tick of the control loop.
 
 python experiments/benchmarks/collision_check.py
 """
@@ -19,7 +19,7 @@ TICKS = 5000
 
 
 def main() -> None:
-    """Check every tick of the walk that the OP3 comes with, and print the times of a tick."""
+    """Check every tick of the walk shipped with the OP3, and print the durations."""
     robot, position = load_robot("op3"), SinusoidalGait().motion(TICKS * PERIOD, rate=1 / PERIOD).position
     velocity = np.gradient(position, PERIOD, axis=0)
     parts, p_gain = SelfCollision(robot, margin=0.0), np.full(len(robot.joints), GAIN_HIGH)

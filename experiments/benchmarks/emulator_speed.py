@@ -1,10 +1,10 @@
-"""How much faster than real time the emulated robot runs, driven through dynamixel-sdk on one core.
+"""Measure how much faster than real time the emulated robot runs, driven through dynamixel-sdk on one core.
 
 python experiments/benchmarks/emulator_speed.py [seconds]
 
 A tick of 8 ms reads ten bytes of all servos and the IMU, computes a PD and writes all goal currents. The robot stands
-on the floor. Besides wall time, processor time is given, which a busy machine disturbs less, and the share that the
-bare physics takes: MuJoCo's steps and the servo law.
+on the floor. Processor time, which depends less on the load of the machine, is printed too, with the share of the
+physics alone: MuJoCo's steps and the servo law.
 """
 
 import argparse
@@ -29,7 +29,7 @@ ROUNDS = 5
 
 
 class Computer:
-    """The least that drives the robot: powered, in current mode, PD at home."""
+    """A minimal controller: power on, current mode, PD at the home pose."""
 
     def __init__(self, robot: EmulatedRobot):
         self.robot = robot
@@ -64,7 +64,7 @@ class Computer:
 
 
 def measure(computer: Computer, seconds: float) -> tuple[float, float, float]:
-    """Emulated over wall time, emulated over processor time, and the share of it that the physics alone takes."""
+    """Emulated time relative to wall time and to processor time, and the share of the physics in the latter."""
     wall, processor = time.perf_counter(), time.process_time()
     for _ in range(round(seconds / TICK)):
         computer.tick()
@@ -76,10 +76,12 @@ def measure(computer: Computer, seconds: float) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Measure both physics in turn and print medians."""
+    """Measure both kinds of physics alternately, and print medians."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("seconds", type=float, nargs="?", default=2.0, help="of the robot's clock in one round")
+    parser.add_argument(
+        "seconds", type=float, nargs="?", default=2.0, help="duration of a round on the robot's clock [s]"
+    )
     seconds = parser.parse_args().seconds
     made: dict[str, Physics] = {
         "op3/sim": SimPhysics(load_model("paper"), build_scene("floor", "op3")),

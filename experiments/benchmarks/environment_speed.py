@@ -1,4 +1,4 @@
-"""What the batched environment costs: ratios measured in one run, on balancing OP3s.
+"""Measure the cost of the batched environment: ratios within one run, with balancing OP3s.
 
 python experiments/benchmarks/environment_speed.py [robots]
 """
@@ -43,7 +43,7 @@ def whole(env: EnvBase, steps: int) -> Callable[[], None]:
 
 
 def without_torchrl(env: EnvBase, steps: int) -> Callable[[], None]:
-    """The same steps, straight into the environment's own function."""
+    """The same steps through the environment's own function, without TorchRL."""
     stand = torch.from_numpy(env.action_map.stand()).float().expand(env.batch_size[0], -1)
     given = TensorDict({"action": stand}, env.batch_size)
 
@@ -65,10 +65,10 @@ def bare(simulation: BatchSimulation, steps: int) -> Callable[[], None]:
 
 
 def main() -> None:
-    """Measure in turn, so that a drift of the machine's speed meets all, and print medians of ratios."""
+    """Measure alternately, so that drift of the machine's speed affects all, and print medians of ratios."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("robots", type=int, nargs="?", default=64, help="side by side")
+    parser.add_argument("robots", type=int, nargs="?", default=64, help="number of robots simulated in parallel")
     robots = parser.parse_args().robots
     env = make_env("balance", num_envs=robots)
     one = make_env("balance", backend="composer")

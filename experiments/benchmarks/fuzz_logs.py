@@ -1,9 +1,9 @@
-"""Random edits of robots, and of logs of every format: each is read or refused in one sentence, in time.
+"""Randomly edit robots and logs of every format: each must be read, or refused in one sentence, within a time limit.
 
 python experiments/benchmarks/fuzz_logs.py [EDITS] [SEED] [FORMAT]
 
-An edit changes bytes of a file (replaced, cut, added, doubled, moved), or what it says: cells, lines and numbers of
-texts, values of JSON and YAML, arrays of npz, columns of parquet, whole files. What fails is printed with its seed.
+An edit changes bytes of a file (replace, delete, add, duplicate, move) or its content: cells, lines and numbers of
+texts, values of JSON and YAML, arrays of npz, columns of parquet, whole files. Failures are printed with their seed.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from op3.rollout import LogError, Metadata, Recorder, Rollout, read_episodes
 from op3.rollout.proposal import as_yaml, propose
 
 LONGEST, MEMORY = 20.0, 6 << 30
-"""No edit may take more processor time [s], nor more address space [B]."""
+"""Limits of an edit: processor time [s] and address space [B]."""
 
 ODD = ["0", "-1", "1", "2", "1e5", "1e-300", "1e308", "1e999", "nan", "-inf", "0x10", "1_0", "1,5", "9" * 400]
 ODD += ["true", "null", "~", "-", "é", "[]", "{}", "[[", '"', ";", "\t", " ", ""]
@@ -68,7 +68,7 @@ Random = np.random.Generator
 
 
 def rollout() -> Rollout:
-    """The motion as a log of ours."""
+    """The motion as a log in op3's format."""
     arrays = {
         "time": foreign_logs.TIME,
         "joint/position": foreign_logs.position(),
@@ -79,17 +79,17 @@ def rollout() -> Rollout:
 
 
 def wide_csv(folder: Path) -> Path:
-    """Our CSV and its sidecar."""
+    """A wide CSV and its sidecar."""
     return rollout().to_csv(folder / "run.csv")
 
 
 def saved(folder: Path) -> Path:
-    """Our folder."""
+    """A rollout folder."""
     return rollout().save(folder / "run")
 
 
 def interrupted(folder: Path) -> Path:
-    """What a recorder leaves behind that was cut off."""
+    """The files of an interrupted recorder."""
     log = rollout()
     recorder = Recorder(folder / "run", log.metadata)
     for row in range(log.rows):
@@ -99,7 +99,7 @@ def interrupted(folder: Path) -> Path:
 
 
 def servo_bench(folder: Path) -> Path:
-    """One servo on a pendulum, packed."""
+    """A compressed recording of one servo with a pendulum."""
     rows = zip(
         foreign_logs.TIME.tolist(),
         foreign_logs.position()[:, 0].tolist(),
@@ -134,11 +134,11 @@ def robot(folder: Path) -> Path:
 
 
 OURS = {"wide csv": wide_csv, "folder": saved, "interrupted": interrupted, "servo bench": servo_bench, "mjcf": robot}
-"""Formats of ours, and of one servo."""
+"""op3's formats, and the format of one servo."""
 
 
 def bytes_edit(raw: bytes, random: Random) -> bytes:
-    """Some bytes replaced, cut out, added, doubled, moved or zeroed."""
+    """Replace, delete, add, duplicate, move or zero some bytes."""
     start, size = int(random.integers(len(raw) + 1)), int(random.choice([0, 1, 1, 4, 40, 1000, len(raw)]))
     end, new = min(len(raw), start + size), random.bytes(int(random.choice([0, 1, 1, 4, 12])))
     match int(random.integers(5)):
@@ -152,7 +152,7 @@ def bytes_edit(raw: bytes, random: Random) -> bytes:
 
 
 def text_edit(raw: bytes, random: Random) -> bytes:
-    """A cell, a line or a column of a text is another, gone or there twice; separators and marks of order change."""
+    """Change, delete or duplicate a cell, line or column of a text, its separators or its byte-order mark."""
     lines = raw.decode("utf-8", "replace").split("\n")
     at, other = (int(i) for i in random.integers(len(lines), size=2))
     match int(random.integers(7)):
@@ -184,7 +184,7 @@ def text_edit(raw: bytes, random: Random) -> bytes:
 
 
 def value_edit(value: Any, random: Random) -> Any:
-    """One value inside nested lists and mappings is another, gone, renamed or there twice."""
+    """Change, delete, rename or duplicate one value in nested lists and mappings."""
     if not isinstance(value, list | dict) or not value or random.random() < 0.15:
         return VALUES[int(random.integers(len(VALUES)))]
     key = list(value)[int(random.integers(len(value)))] if isinstance(value, dict) else int(random.integers(len(value)))
@@ -199,12 +199,12 @@ def value_edit(value: Any, random: Random) -> Any:
 
 
 def json_edit(raw: bytes, random: Random) -> bytes:
-    """A value of a JSON file."""
+    """Edit a value of a JSON file."""
     return json.dumps(value_edit(json.loads(raw), random)).encode()
 
 
 def array_edit(array: np.ndarray, random: Random) -> np.ndarray:
-    """Another type, shape, order or some odd numbers."""
+    """Change the type, shape, order or some numbers of an array."""
     match int(random.integers(7)):
         case 0:
             return array.astype(str(random.choice(["f2", ">f8", "i1", "u8", "?", "c16", "U5", "S3", "M8[ns]"])))
@@ -225,7 +225,7 @@ def array_edit(array: np.ndarray, random: Random) -> np.ndarray:
 
 
 def npz_edit(raw: bytes, random: Random) -> bytes:
-    """An array of an archive."""
+    """Edit an array of an archive."""
     with np.load(io.BytesIO(raw)) as archive:
         content = {name: archive[name] for name in archive.files}
     name = str(random.choice(sorted(content)))
@@ -240,7 +240,7 @@ def npz_edit(raw: bytes, random: Random) -> bytes:
 
 
 def parquet_edit(raw: bytes, random: Random) -> bytes:
-    """A column of a table: other values, of another type, renamed or gone."""
+    """Change the values or the type of a table's column, rename it, or delete it."""
     import pyarrow
     from pyarrow import parquet
 
@@ -257,7 +257,7 @@ def parquet_edit(raw: bytes, random: Random) -> bytes:
 
 
 def whole_edit(files: Files, random: Random) -> Files:
-    """Files that are empty, gone, another's or packed."""
+    """Empty, delete, replace or compress a file."""
     names = sorted(files)
     one, other = (str(name) for name in random.choice(names, 2))
     match int(random.integers(4)):
@@ -296,12 +296,12 @@ class Slow(BaseException):
 
 
 def too_slow(*_: Any) -> None:
-    """Ends an edit that hangs."""
+    """End an edit that exceeds the time limit."""
     raise Slow
 
 
 def outcome(path: Path) -> str:
-    """How reading ends: `read` or `refused`; everything else is raised."""
+    """Result of reading, `read` or `refused`; any other error is raised."""
     if path.name == "arm.yaml":
         try:
             robot_table(Robot(path))
@@ -325,7 +325,7 @@ def outcome(path: Path) -> str:
 
 
 def main(edits: int, seed: int, only: str = "") -> int:
-    """Try so many edits and print how they end; how many failed."""
+    """Try this number of edits, print the results, and return how many failed."""
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     warnings.simplefilter("error", RuntimeWarning)
@@ -380,6 +380,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("edits", type=int, nargs="?", default=1000)
     parser.add_argument("seed", type=int, nargs="?", default=0)
-    parser.add_argument("only", metavar="format", nargs="?", default="", help="one format")
+    parser.add_argument("only", metavar="format", nargs="?", default="", help="the only format to test")
     args = parser.parse_args()
     sys.exit(bool(main(args.edits, args.seed, args.only)))

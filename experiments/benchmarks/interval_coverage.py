@@ -1,11 +1,11 @@
-"""How often the 90 % intervals of `method=lsq` hold the truth, over random worlds without hidden effects.
+"""How often the 90 % intervals of `method=lsq` contain the true values, in random worlds without hidden effects.
 
 python experiments/benchmarks/interval_coverage.py [worlds=40] [motions=[squat,push_down]]
 
 A world is the identified simulation itself with parameters drawn uniformly from their ranges (paper Table I), read by
-sensors with the noise and the registers of the robot. The stand-in cannot serve here: its gear and friction obey other
-laws, so its numbers are not those of the parameters that are found. Every world is a line of `worlds.jsonl` in the
-run's folder; the same command goes on where it stopped. A world in which the robot falls is drawn again.
+sensors with the noise and the registers of the robot. The stand-in is not suitable: its gear and friction obey other
+laws, so it has no true values of these parameters. Every world is a line of `worlds.jsonl` in the run's
+folder; the same command continues after an interruption. A world in which the robot falls is drawn again.
 """
 
 import json
@@ -42,7 +42,7 @@ NOISE = {
     ("imu", "orientation"): 0.0005,
     ("imu", "angular_velocity"): 0.002,
 }
-"""Standard deviations before the registers, in SI units."""
+"""Standard deviations of sensor noise before rounding to registers, in SI units."""
 
 UNITS = {
     ("joint", "position"): POSITION_UNIT,
@@ -52,7 +52,7 @@ UNITS = {
 
 
 def record(model: RobotModel, motion: Motion, rng: np.random.Generator) -> Rollout | None:
-    """A log of the simulation as sensors would give it; None if it fell or diverged."""
+    """A log of the simulation with sensor noise and register units; None if it fell or diverged."""
     try:
         truth = simulate_motion(model, motion)
     except ValueError:
@@ -69,7 +69,7 @@ def record(model: RobotModel, motion: Motion, rng: np.random.Generator) -> Rollo
 
 
 def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, Any]:
-    """Draw a world, record it, identify it, and say which intervals hold its truth."""
+    """Draw a world, record it, identify it, and return which intervals contain the true values."""
     started = time.monotonic()
     rng = np.random.default_rng([cfg.seed, number])
     base = load_model(cfg.model)
@@ -105,7 +105,7 @@ def one_world(cfg: DictConfig, number: int, motions: list[Motion]) -> dict[str, 
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """The worlds done so far; a line cut short by an interruption is left out."""
+    """The finished worlds; a line truncated by an interruption is omitted."""
     worlds = []
     for line in path.read_text().splitlines() if path.is_file() else ():
         try:
@@ -116,7 +116,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
 
 
 def append(path: Path, world: dict[str, Any]) -> None:
-    """Add a line; one that was cut short before it stays a line of its own."""
+    """Append a line; an earlier truncated line stays separate."""
     torn = path.is_file() and not path.read_text().endswith("\n")
     with path.open("a") as file:
         file.write("\n" * torn + json.dumps(world) + "\n")
@@ -151,17 +151,17 @@ def report(folder: Path, worlds: list[dict[str, Any]], names: list[str], seed: i
     """Write page and result."""
     numbers = summarise(worlds, names)
     meanings = {
-        "coverage": "share of 90 % intervals that hold the truth, over identifiable parameters of all worlds",
-        "covered": "worlds whose interval holds the truth, by parameter",
-        "identifiable_in": "worlds in which the parameter is identifiable",
+        "coverage": "share of 90 % intervals that contain the true value, over identifiable parameters of all worlds",
+        "covered": "number of worlds whose interval contains the true value, by parameter",
+        "identifiable_in": "number of worlds in which the parameter is identifiable",
     }
     provenance = run_provenance(seed=seed)
     result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance}, meanings)
     pooled = numbers["coverage.pooled"]
-    lead = f"{0 if pooled is None else pooled:.1%} of the intervals hold the truth."
+    lead = f"{0 if pooled is None else pooled:.1%} of the intervals contain the true value."
     lead += f" Least squares reached the minimum in {numbers['coverage.minimum_reached']} of {len(worlds)} worlds"
     within = numbers["coverage.pooled_where_reached"]
-    lead += "." if within is None else f"; there {within:.1%} do."
+    lead += "." if within is None else f"; in these, {within:.1%} of the intervals contain it."
     rows = [
         [name.replace("_", " "), numbers["covered"][name], numbers["covered_where_identifiable"][name],
          numbers["identifiable_in"][name], len(worlds)]
@@ -176,7 +176,7 @@ def report(folder: Path, worlds: list[dict[str, Any]], names: list[str], seed: i
 
 @hydra.main(config_path="../../conf/benchmark", config_name="interval_coverage", version_base="1.3")
 def main(cfg: DictConfig) -> None:
-    """Go through the worlds that are missing, then report."""
+    """Simulate and identify the missing worlds, then report."""
     with one_sentence():
         torch.set_num_threads(1)
         folder = Path(HydraConfig.get().runtime.output_dir)

@@ -1,12 +1,12 @@
-"""Updates per second of soft actor-critic with the recipes of balancing and walking, beside TorchRL's and others' path.
+"""Updates per second of soft actor-critic with the balancing and walking recipes, compared with TorchRL and others.
 
 python experiments/benchmarks/learner_speed.py [--rounds 7] [--updates 10]
 
 An update draws a batch of n-step returns, of which half is mirrored, normalises it, and makes a gradient step of
 critics, policy and temperature, on one core. TorchRL's path is what its documentation shows: MLP critics with layer
-normalisation, `SACLoss` and `SoftUpdate` with their defaults. Stable-Baselines3 is measured where it is installed, with
-one-step returns and without layer normalisation or mirrored samples. All take turns, and the ratios are medians over
-the rounds.
+normalisation, `SACLoss` and `SoftUpdate` with their defaults. Stable-Baselines3 is measured if it is installed, with
+one-step returns and without layer normalisation or mirrored samples. The variants run alternately, and the ratios are
+medians over the rounds.
 """
 
 import argparse
@@ -34,13 +34,13 @@ RECIPES = {
     "balance": {"hidden": (128, 128), "batch": 1024},
     "walk": {"hidden": (256, 256), "batch": 768},
 }
-"""What conf/recipe and conf/algorithm say of the size of an update."""
+"""Settings in conf/recipe and conf/algorithm that determine the size of an update."""
 
 COMMON = {"n_step": 5, "discount": 0.97, "mirrored": 0.5, "warmup": 0, "buffer": ROWS * ENVIRONMENTS}
 
 
 class Shape(EnvBase):
-    """Nothing but the shape of a task: `update` needs no environment."""
+    """The shape of a task, which is all that `update` needs of an environment."""
 
     def __init__(self, observation: int, action: int):
         super().__init__(batch_size=[ENVIRONMENTS])
@@ -107,7 +107,7 @@ def updates_of(kind: type[OffPolicy], task: str, **settings: object) -> Callable
 
 
 def stable_baselines(task: str) -> Callable[[], object] | None:
-    """Stable-Baselines3's SAC, or None where it is not installed."""
+    """The SAC of Stable-Baselines3; None if it is not installed."""
     try:
         import gymnasium
         from stable_baselines3 import SAC as Baseline
@@ -139,7 +139,7 @@ def stable_baselines(task: str) -> Callable[[], object] | None:
 
 
 def rate(update: Callable[[], object], updates: int) -> float:
-    """Updates per second of processor time, which other processes on the machine do not lengthen as much."""
+    """Updates per second of processor time, which depends less on other processes than wall time."""
     started = time.process_time()
     for _ in range(updates):
         update()
@@ -147,10 +147,10 @@ def rate(update: Callable[[], object], updates: int) -> float:
 
 
 def main() -> None:
-    """Measure in turn and print one table for each recipe."""
+    """Measure alternately, and print one table for each recipe."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--updates", type=int, default=10, help="per round")
+    parser.add_argument("--updates", type=int, default=10, help="updates per round")
     chosen = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)

@@ -1,11 +1,11 @@
-"""Whether the checks of logs cry wolf, and what they cost.
+"""Measure false alarms and costs of the log checks.
 
 python experiments/benchmarks/log_checks.py sound [CASES] [LOGS ...]
 python experiments/benchmarks/log_checks.py cost
 
-`sound` counts findings in the logs named, and in stand-ins with one strong effect of the catalogue each, on every
-setting of the bench. `cost` measures reading and checking ten minutes of twenty joints at 125 Hz, as a folder and as
-CSV, and the checks of a squat beside `identify.py method=lsq` on it.
+`sound` counts findings in the given logs, and in stand-ins that each have one strong effect of the catalogue, in
+every setting of the bench. `cost` measures reading and checking ten minutes of twenty joints at 125 Hz, as a folder and
+as CSV, and the checks of a squat compared with `identify.py method=lsq` on it.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from op3.stand_in.suites import SETTINGS
 
 ROOT = Path(__file__).resolve().parents[2]
 RUNS = 2
-"""Runs of every case that are looked at."""
+"""Runs of every case that are checked."""
 
 
 def stand_ins(cases: int) -> Iterator[tuple[str, Rollout]]:
@@ -46,7 +46,7 @@ def stand_ins(cases: int) -> Iterator[tuple[str, Rollout]]:
 
 
 def sound(cases: int, paths: list[str]) -> None:
-    """Print every finding in logs that are sound, and how many logs have one."""
+    """Print every finding in sound logs, and the number of logs with findings."""
     logs, errors, warned = 0, 0, 0
     named = ((f"{path}: {log.metadata.recording}", log) for path in paths for log in _read(path))
     for name, log in (pair for source in (named, stand_ins(cases)) for pair in source):
@@ -78,7 +78,7 @@ def long_log() -> Rollout:
 
 
 def cost() -> None:
-    """Print times and memory."""
+    """Print the time and memory that the checks take."""
     with tempfile.TemporaryDirectory() as place:
         log = long_log()
         log.save(f"{place}/run")
@@ -109,8 +109,10 @@ if __name__ == "__main__":
     measures = parser.add_subparsers(dest="measure", required=True)
     measures.add_parser("cost", help="time and memory")
     alarms = measures.add_parser("sound", help="findings in sound logs")
-    alarms.add_argument("cases", type=int, nargs="?", default=100, help="stand-ins with an effect each")
-    alarms.add_argument("logs", nargs="*", help="logs to examine besides")
+    alarms.add_argument(
+        "cases", type=int, nargs="?", default=100, help="number of stand-ins, each with one hidden effect"
+    )
+    alarms.add_argument("logs", nargs="*", help="further logs to examine")
     args = parser.parse_args()
     logging.disable()
     if args.measure == "cost":

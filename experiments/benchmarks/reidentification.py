@@ -1,13 +1,13 @@
-"""How far re-identification closes the gap of returns on hidden robots, and what that costs.
+"""Measure how far re-identification closes the gap of returns on hidden robots, and its cost.
 
 python experiments/benchmarks/reidentification.py [robots=[robot_1,robot_2]] [trials=3000] [policy=<bundle>]
     [diagnose=true]
 
 Each robot squats, is identified (method=lsq), plays ten episodes of a policy behind its emulated bus, and is
 re-identified from them. The policy is trained for each on its identified model, unless one is given. With
-`diagnose=true` each is re-identified a second time, from a model to which a diagnosis of further motions has added what
-it found missing. Every stage is an experiment in a folder of its own; the same command with the same hydra.run.dir goes
-on where it stopped.
+`diagnose=true` each is re-identified a second time, from a model to which a diagnosis of further motions has added the
+missing effects. Every stage has a separate folder; the same command with the same hydra.run.dir continues after an
+interruption.
 """
 
 from collections.abc import Sequence
@@ -35,11 +35,11 @@ TOLERATED = 1.25
 """The excitation loss may rise by a quarter."""
 
 AIM = 0.4
-"""What the median distance shall fall to, as a share of that after excitation only."""
+"""Target for the median distance, as a share of that after excitation only."""
 
 
 def one_robot(cfg: DictConfig, stages: Stages, robot: str) -> dict[str, dict[str, Any]]:
-    """All stages of a robot; returns what its re-identification found, and the cost of that, on each road."""
+    """Run all stages of a robot; return results and costs of its re-identification by each method."""
     hidden = {"source": "emulated", "world": robot, "seed": cfg.seed}
     squat = stages.run(f"{robot}/squat", collect, **hidden, motion="squat")
     how = {"method": "lsq", "ablate": [], "overrides": plain(cfg.identify)}
@@ -95,10 +95,10 @@ KEYS = (
 
 
 def summarise(robots: dict[str, dict[str, dict[str, Any]]]) -> dict[str, Any]:
-    """Medians over robots, and whether they meet the aim.
+    """Medians over robots, and whether they reach the target.
 
     Args:
-        robots: by robot and road, ``reidentify`` and where both were gone ``diagnose``.
+        robots: results by robot and method: ``reidentify``, and ``diagnose`` if both were run.
     """
     plain_road = {robot: roads["reidentify"] for robot, roads in robots.items()}
 
@@ -128,33 +128,33 @@ def summarise(robots: dict[str, dict[str, dict[str, Any]]]) -> dict[str, Any]:
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """Median of the ratios that there are: a start that is the robot leaves none."""
+    """Median of the existing ratios; a robot whose initial model is perfect has none."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
 
 
 SHARES = {"distance_ratio": "distance", "fresh_ratio": "fresh", "excitation_ratio": "excitation"}
-"""What is told of models that were diagnosed first, as a share of that after excitation only."""
+"""Reported quantities of models that were diagnosed first, as shares of the values after excitation only."""
 
 
 def against(roads: dict[str, dict[str, Any]], key: str) -> float | None:
-    """What is left after diagnosis and re-identification, as a share of that after excitation only."""
+    """Value after diagnosis and re-identification, as a share of the value after excitation only."""
     left, before = roads["diagnose"][f"{key}.reidentified"], roads["reidentify"][f"{key}.excitation_only"]
     return left / before if left is not None and before else None
 
 
 PROSE = """
 # Re-identification on hidden robots
-Over fresh episodes the distance of returns falls to {n[median.fresh_ratio]:.2g} of its value after excitation only
-(median of {count} robots), over those of the search to {n[median.distance_ratio]:.2g}. The excitation loss rises to
-{n[largest.excitation_ratio]:.2f} times its value at most.
+Over fresh episodes, the distance of returns falls to {n[median.fresh_ratio]:.2g} times its value after excitation only
+(median of {count} robots); over the episodes of the search, to {n[median.distance_ratio]:.2g} times that value.
+The excitation loss rises to at most {n[largest.excitation_ratio]:.2f} times its initial value.
 
 [[table reidentify | Returns under R_eval and their Wasserstein-1 distance to the robot's; the start is the model
 identified from the squat alone. | 3]]
 
-[[table diagnose | The same from a model to which a diagnosis has added what it found missing first. | 3]]
+[[table diagnose | The same, starting from a model to which a diagnosis has first added the missing effects. | 3]]
 
-[[table both | Both roads, as shares of what excitation alone left. | 3]]
+[[table both | Both methods, as shares of the values after excitation only. | 3]]
 
 """
 LINK = "[[file {0}/reidentify/index.html | re-identification of {0}]]\n"
@@ -166,9 +166,9 @@ def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int
     provenance = run_provenance(seed=seed)
     meanings = {"median": "over robots; distances are Wasserstein-1, as shares of those after excitation only"}
     result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance}, meanings)
-    header = ["robot", "mean return on it", "at the start", "re-identified", "distance at the start", "after", "ratio",
-              "fresh, at the start", "after", "chance leaves", "excitation loss, times", "trials",
-              "of them played"]  # fmt: skip
+    header = ["robot", "mean return on the robot", "initial model", "re-identified", "initial distance", "after",
+              "ratio", "initial distance, fresh", "after", "by chance", "excitation loss, ratio", "trials",
+              "trials that played"]  # fmt: skip
     keys = ("return.actual", "return.excitation_only", "return.reidentified", "distance.excitation_only",
             "distance.reidentified", "distance.ratio", "fresh.excitation_only", "fresh.reidentified", "fresh.noise",
             "excitation.ratio", "trials", "trials_played")  # fmt: skip
@@ -177,8 +177,8 @@ def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int
         for road in ("reidentify", "diagnose")
     }
     tables["both"] = (
-        ["robot", "verdict", "distance left", "diagnosed first", "fresh, left", "diagnosed first",
-         "excitation loss, times", "diagnosed first"],
+        ["robot", "verdict", "distance", "diagnosed first", "fresh distance", "diagnosed first",
+         "excitation loss, ratio", "diagnosed first"],
         [
             [robot, roads["diagnose"]["verdict"], *(
                 value for key in SHARES.values()
@@ -193,7 +193,7 @@ def report(folder: Path, robots: dict[str, dict[str, dict[str, Any]]], seed: int
 
 @hydra.main(config_path="../../conf/benchmark", config_name="reidentification", version_base="1.3")
 def main(cfg: DictConfig) -> None:
-    """Go through the robots, and report after each what is known."""
+    """Process the robots, and update the report after each of them."""
     with one_sentence():
         folder = Path(HydraConfig.get().runtime.output_dir).absolute()
         stages = Stages(folder)

@@ -1,4 +1,4 @@
-"""How much the servo law costs: alone, and beside MuJoCo on 64 OP3s that stand.
+"""Measure the cost of the servo law: alone, and relative to MuJoCo for 64 standing OP3s.
 
 python experiments/benchmarks/simulation_speed.py
 """
@@ -20,11 +20,11 @@ SIMS = 64
 ROUNDS = 7
 TICKS = 40
 ROBOTS = (1, 32, 64, 600)
-"""Robots of 20 joints, of which the law alone is timed."""
+"""Numbers of robots with 20 joints for which the law alone is timed."""
 
 
 def law_alone(robots: int) -> Callable[[], float]:
-    """A call of the paper's full law, for some robots in motion [s]."""
+    """Duration of a call of the paper's full law, for some robots in motion [s]."""
     model = load_model("paper")
     law = Servos(model.effects, load_robot("op3").joints, robots, 0.001, 0.008)
     law.set(model.tensors(load_robot("op3").joints))
@@ -58,7 +58,7 @@ def standing() -> BatchSimulation:
 
 
 def processor_seconds(batch: Batch, steps: int) -> float:
-    """Processor time of a step of the whole batch without the law [s], whatever else the machine does."""
+    """Processor time of a step of the whole batch without the law [s]."""
     started = time.process_time()
     for _ in range(steps):
         batch.step()
@@ -66,7 +66,7 @@ def processor_seconds(batch: Batch, steps: int) -> float:
 
 
 def main() -> None:
-    """Measure, and print the best of several rounds."""
+    """Measure several rounds, and print the best one."""
     torch.set_num_threads(1)
     print("machine: " + ", ".join(f"{key} {value}" for key, value in machine().items()))
     alone = {robots: law_alone(robots) for robots in ROBOTS}

@@ -4,8 +4,8 @@ python experiments/benchmarks/sparse_regression.py <case>/data <base model> <fol
 
 Measured currents are regressed on the joint torques of inverse dynamics, from smoothed measured angles, accelerations
 and the friction terms of the base model; one further column, or one per joint, is added for the effect that explains
-most of what is left on other runs. It knows effects as columns of a regression only: no simulation, no timing, no
-hidden states.
+most of the residual on other runs. Effects are only columns of a regression, without simulation, timing or hidden
+states.
 """
 
 import sys
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 def held_model(joints: tuple[str, ...], last_mass: float = 0.0) -> mujoco.MjModel:
-    """Limbs of the robot in the stand, without armature, with so much more mass of the last link [kg]."""
+    """Limbs of the robot on the stand, without armature, with additional mass of the last link [kg]."""
     model = build_scene("stand", "op3", joints=joints).compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     model.dof_armature[:] = 0
@@ -43,7 +43,7 @@ def held_model(joints: tuple[str, ...], last_mass: float = 0.0) -> mujoco.MjMode
 
 
 def inverse_dynamics(model: mujoco.MjModel, log: Rollout, q: Array, v: Array, a: Array) -> Array:
-    """Torques [time, joint] that a motion asks for."""
+    """Torques [time, joint] that a motion requires."""
     model.opt.gravity[:] = rotation_matrix(*log.metadata.extra["tilt"]).T @ np.array([0.0, 0.0, -GRAVITY])
     data, torque = mujoco.MjData(model), np.empty_like(q)
     for row in range(len(q)):
@@ -54,7 +54,7 @@ def inverse_dynamics(model: mujoco.MjModel, log: Rollout, q: Array, v: Array, a:
 
 
 def signals(log: Rollout, model: mujoco.MjModel, loaded: mujoco.MjModel) -> dict[str, Array]:
-    """Smoothed motion, current and the torque that inverse dynamics asks for, each [time, joint]."""
+    """Smoothed motion, current, and the torque from inverse dynamics, each [time, joint]."""
     period = 1 / log.metadata.rate
 
     def smooth(channel: str, derivative: int = 0) -> Array:
@@ -105,7 +105,7 @@ CANDIDATES: dict[str, tuple[bool, tuple[Callable[[dict[str, Array]], Array], ...
         for n in range(12, 42, 2)
     },
 }
-"""By name: whether the effect sits in one joint, and its columns."""
+"""Whether the effect is in a single joint, and its columns, by name."""
 
 
 def columns(makers: tuple[Callable[[dict[str, Array]], Array], ...], runs: list[dict[str, Array]], joint: int | None):
@@ -116,7 +116,7 @@ def columns(makers: tuple[Callable[[dict[str, Array]], Array], ...], runs: list[
 
 
 def diagnose(logs: list[Rollout], lacking: set[str]) -> dict:
-    """A verdict by one step of orthogonal matching pursuit; every third run judges what the others fit."""
+    """A verdict by one step of orthogonal matching pursuit; every third run tests the fit to the others."""
     joints = logs[0].metadata.joints
     model, loaded = held_model(joints), held_model(joints, 0.1)
     runs = [signals(log, model, loaded) for log in logs]

@@ -1,12 +1,12 @@
-"""The squat given to MuJoCo's own toolbox, `mujoco.sysid`, with what its model can express, and to `method=lsq`.
+"""Identify the squat with MuJoCo's toolbox `mujoco.sysid`, as far as its model allows, and with `method=lsq`.
 
 python experiments/benchmarks/sysid_peer.py data=<squat log> heldout=<another> [iterations=30]
 
 The toolbox needs `pip install "mujoco[sysid]"`. Its model: one affine actuator per joint, torque = 353.5 Kt
 (Kp (q* - q) - Kd w), with armature, damping and friction loss of the joint, and mass and centre of mass of the trunk;
-seven parameters. MuJoCo has no gear whose losses depend on direction, no static friction beside friction loss, and its
-actuator knows no battery and no latency. Both are fitted to joint angles and velocities alone, from the paper's nominal
-values, and judged by the mean absolute angle error of open-loop replays.
+seven parameters. MuJoCo has no gear whose losses depend on direction and no static friction besides friction loss, and
+its actuator includes neither battery nor latency. Both models are fitted to joint angles and velocities only, from the
+paper's nominal values, and compared by the mean absolute angle error of open-loop replays.
 """
 
 import time
@@ -42,11 +42,11 @@ PEER = {
     "base_com_offset_x": "trunk",
     "base_com_offset_z": "trunk",
 }
-"""Parameters that the toolbox's model has."""
+"""Parameters of the toolbox's model."""
 
 
 class Peer:
-    """One log as the toolbox sees it."""
+    """One log in the form that the toolbox needs."""
 
     def __init__(self, log: Rollout):
         if log.metadata.mount != "floor" or np.ptp(log.array("command/p_gain")) > 0:
@@ -116,7 +116,7 @@ class Peer:
             spec.body(self.trunk).ipos = center
 
     def sequences(self, start: dict[str, float]) -> Any:
-        """The log as the toolbox takes it."""
+        """The log as the toolbox's input."""
         for name, value in start.items():
             self.apply(self.spec, name, value)
         model = self.spec.compile()
@@ -131,7 +131,7 @@ class Peer:
 
 
 def fit_peer(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
-    """Identify with the toolbox; errors, wall time and rollouts."""
+    """Identify with the toolbox; return errors, wall time and number of rollouts."""
     known = load_model(cfg.model).parameters()
     start = {name: known[name].nominal for name in PEER}
     peer = Peer(log)
@@ -190,7 +190,7 @@ def error_mrad(peer: Peer, values: dict[str, float]) -> float:
 
 
 def fit_ours(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
-    """The same logs with `method=lsq`, on angles and velocities alone."""
+    """Identify from the same logs with `method=lsq`, from angles and velocities only."""
     base = load_model(cfg.model)
     known = {name: base.parameters()[name] for name in cfg.parameters}
     weights = {("joint", "position"): 1.0, ("joint", "velocity"): 1.0}
@@ -215,11 +215,11 @@ def fit_ours(cfg: DictConfig, log: Rollout, heldout: Rollout) -> dict[str, Any]:
 
 @hydra.main(config_path="../../conf/benchmark", config_name="sysid_peer", version_base="1.3")
 def main(cfg: DictConfig) -> None:
-    """Fit both, write page and result."""
+    """Fit with both methods, and write page and result."""
     with one_sentence():
         torch.set_num_threads(1)
         if not hasattr(sysid, "optimize"):
-            raise ValueError('mujoco.sysid is not complete here: pip install "mujoco[sysid]"')
+            raise ValueError('mujoco.sysid is not completely installed: run pip install "mujoco[sysid]"')
         log, heldout = read_logs(cfg.data)[0], read_logs(cfg.heldout)[0]
         results = {"mujoco.sysid": fit_peer(cfg, log, heldout), "method=lsq": fit_ours(cfg, log, heldout)}
         folder = Path(HydraConfig.get().runtime.output_dir)
@@ -228,11 +228,11 @@ def main(cfg: DictConfig) -> None:
         numbers = {names[key]: value for key, value in results.items()}
         result = write_result(folder / "result.yaml", {**numbers, "provenance": provenance})
         held = {name: values["error_mrad.heldout"] for name, values in results.items()}
-        lead = ", ".join(f"{name} leaves {error:.1f} mrad" for name, error in held.items())
+        lead = ", ".join(f"the error of {name} is {error:.1f} mrad" for name, error in held.items())
         columns = ["error_mrad.train", "error_mrad.heldout", "wall_seconds", "simulations"]
         rows = [[name, *(values[c] for c in columns)] for name, values in results.items()]
         header = ["", "error [mrad]", "held-out error [mrad]", "time [s]", "simulations"]
-        prose = f"# Identification beside mujoco.sysid\nOn the held-out log {lead}.\n\n[[table errors]]"
+        prose = f"# Comparison with mujoco.sysid\nOn the held-out log {lead}.\n\n[[table errors]]"
         page = Page(prose, tables={"errors": (header, rows)})
         page.provenance(provenance)
         print(page.write(folder / "index.html"), result, sep="\n", flush=True)

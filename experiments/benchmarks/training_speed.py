@@ -1,9 +1,9 @@
-"""What overlap of collecting and updating gains: a task's recipe, with and without it in turn, in one run.
+"""Measure the gain from collecting and updating in parallel: a recipe with and without it, alternately.
 
 python experiments/benchmarks/training_speed.py [--task walk] [steps=20000] [rounds=3]
 
-Both learn the same to the last bit, so that only the time differs. Robots collect and update from the first
-step, which is what most of a run is like.
+Both variants learn exactly the same, so only the time differs. Collecting and updating start with
+the first step, because most of a run consists of both.
 """
 
 import argparse
@@ -36,11 +36,11 @@ def seconds(cfg, overlap: bool) -> float:
 
 
 def main() -> None:
-    """Measure in turn, so that a drift of the machine's speed meets both, and print the ratios."""
+    """Measure alternately, so that drift of the machine's speed affects both, and print the ratios."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("steps", type=int, nargs="?", default=20000, help="of one training")
-    parser.add_argument("rounds", type=int, nargs="?", default=3, help="in turn")
+    parser.add_argument("steps", type=int, nargs="?", default=20000, help="environment steps of one training")
+    parser.add_argument("rounds", type=int, nargs="?", default=3, help="rounds, in which the variants run in turn")
     parser.add_argument("--task", default="walk")
     options = parser.parse_args()
     steps, rounds = options.steps, options.rounds

@@ -1,4 +1,4 @@
-"""Whether a change made environments slower: policy steps of two checkouts in turn, balancing OP3s on one thread.
+"""Compare the speed of environments in two checkouts: policy steps of balancing OP3s on one thread, alternately.
 
 python experiments/benchmarks/two_checkouts.py ../before . [robots=32]
 """
@@ -29,15 +29,15 @@ work()
 for _ in sys.stdin:
     work()
 """
-"""What both checkouts do: a warm-up, then as many steps with every line that it is sent."""
+"""Program that both checkouts run: a warm-up, then the same number of steps for every line of input."""
 
 
 def main() -> None:
-    """Measure in turn, so that a drift of the machine's speed meets both, and print medians of ratios."""
+    """Measure alternately, so that drift of the machine's speed affects both, and print medians of ratios."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("before", help="folder of a checkout")
-    parser.add_argument("after", help="folder of the other")
-    parser.add_argument("robots", type=int, nargs="?", default=32, help="side by side")
+    parser.add_argument("before", help="folder of the first checkout")
+    parser.add_argument("after", help="folder of the second checkout")
+    parser.add_argument("robots", type=int, nargs="?", default=32, help="number of robots simulated in parallel")
     args = parser.parse_args()
     command, alone = [sys.executable, "-c", CHILD.format(robots=args.robots)], {"OMP_NUM_THREADS": "1"}
     children = [

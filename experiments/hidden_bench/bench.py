@@ -1,4 +1,4 @@
-"""A bench of many cases: the mix, and the diagnosis as another process."""
+"""A bench of many cases: selection of the cases, and diagnosis in a separate process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VERDICT_FILE = "verdict.yaml"
 LOG_FILE = "diagnose.log"
 COST_FILE = "cost.yaml"
 GRACE = 10.0
-"""Time that a stopped process has to end by itself [s]."""
+"""Time that a process gets to end after it was asked to stop [s]."""
 
 SETS: tuple[str, ...] = ("development", "test")
 """Sets of cases with separate seeds; constants are chosen on the first, the second is opened once per release."""
@@ -31,14 +31,15 @@ SETS: tuple[str, ...] = ("development", "test")
 def draw_mix(
     mix: Mapping[str, Any], which: str = "development", first_seed: int = 0, ranges: Ranges = BENCH_RANGES
 ) -> list[Case]:
-    """The cases of a bench, each with its own seed, kinds interleaved.
+    """The cases of a bench, each with a separate seed, in the order of their names, which is random.
 
     Args:
-        mix: `robots`, what the cases are recorded on, in turn; `singles`, cases per effect, by severity; `effects`,
-            which (None: all of the catalogue); `nulls`, `pairs`, `outsiders`, `poor`, numbers of cases.
+        mix: `robots`: robots on which the cases are recorded, alternately; `singles`: cases per effect, by severity;
+            `effects`: effects to hide (None: all of the catalogue); `nulls`, `pairs`, `outsiders`, `poor`: numbers of
+            cases.
         which: "development" or "test".
-        first_seed: of the set.
-        ranges: of the robots' numbers.
+        first_seed: first seed of the set.
+        ranges: ranges of the robots' parameters.
     """
     if which not in SETS:
         raise ValueError(f"there is no set of cases {which!r}; choose {' or '.join(SETS)}")
@@ -64,7 +65,7 @@ def draw_mix(
 
 @dataclass(frozen=True)
 class Cost:
-    """What a process has used, with those that it started and waited for.
+    """Resources used by a process and by the processes that it started and waited for.
 
     Attributes:
         seconds: wall time [s].
@@ -82,7 +83,7 @@ def run_command(command: Sequence[str], log: Path, timeout: float) -> Cost:
 
     Args:
         command: program and arguments.
-        log: file for what it prints.
+        log: file for the output of the command.
         timeout: [s].
     """
     begin = time.monotonic()
@@ -112,20 +113,20 @@ def run_case(
     keep_data: bool,
     place: str = "run",
 ) -> Path | None:
-    """Let another process work on one case, recorded where it is not yet, and give the path of what it concluded.
+    """Record one case if necessary, diagnose it in another process, and return the path of the verdict.
 
     Args:
-        case: what is hidden.
-        folder: of the cases. A verdict that is there already is taken as it is.
+        case: the hidden effects.
+        folder: folder of the cases; an existing verdict is kept.
         answers: folder of the answers.
         command: `{data}`, `{model}` and `{run}` stand for the logs, the base model and the folder for the verdict;
-            `{answer}` for the answer, of what may know it: such a command runs after all verdicts.
-        timeout: after which the process is stopped [s].
-        keep_data: whether the logs stay on the disk afterwards.
-        place: name of the verdict's folder in the case's; beside it stands what the process has cost.
+            `{answer}` stands for the answer, for baselines that may use it: they run after all verdicts.
+        timeout: time after which the process is stopped [s].
+        keep_data: whether the logs are kept.
+        place: name of the verdict's folder in the case's folder; it also contains the cost of the process.
 
     Returns:
-        Path of the verdict, None if none was written.
+        Path of the verdict; None if none was written.
     """
     here = Path(folder) / case.name
     run = here / place
@@ -154,10 +155,10 @@ def run_all(
     place: str = "run",
     say: Callable[[str], None] = print,
 ) -> dict[str, Path | None]:
-    """Run every case that has no verdict yet; one line per case says how far it is. Arguments are those of `run_case`.
+    """Run every case that has no verdict yet, and print a progress line for each. Arguments are those of `run_case`.
 
     Returns:
-        Path of the verdict by case name, None where none was written.
+        Path of the verdict by case name; None if none was written.
     """
     found: dict[str, Path | None] = {}
     begin, done = time.monotonic(), 0
@@ -176,6 +177,6 @@ def run_all(
 
 
 def read_cost(verdict: Path) -> dict[str, float]:
-    """What a diagnosis has cost, from beside its verdict; empty where that is not known."""
+    """Cost of a diagnosis, read from the file beside its verdict; empty if unknown."""
     path = verdict.parent / COST_FILE
     return yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}

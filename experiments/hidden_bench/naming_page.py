@@ -1,4 +1,4 @@
-"""The page of a hidden-effect bench: how often the right name was found."""
+"""The page of a hidden-effect bench: how often the correct name was found."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -45,7 +45,7 @@ def rates_figure(summaries: Mapping[str, Mapping[str, Any]]) -> go.Figure:
 
 
 def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> go.Figure | None:
-    """Stated probability against the share that was right, by fifths; None where nothing was stated."""
+    """Stated probability against the share of correct findings, in five bins; None without findings."""
     figure, colour = go.Figure(), colours(list(calibrations))
     for label, values in calibrations.items():
         if values["reliability"]:
@@ -54,14 +54,14 @@ def reliability_figure(calibrations: Mapping[str, Mapping[str, Any]]) -> go.Figu
             figure.add_scatter(
                 x=stated, y=right, error_y=spread(right, low, high), mode="lines+markers", name=plain(label),
                 marker=dict(color=colour[label], size=6 + 2 * np.sqrt(count)), customdata=count,
-                hovertemplate="%{y:.0f} % of %{customdata} right",
+                hovertemplate="%{y:.0f} % of %{customdata} correct",
             )  # fmt: skip
     if not figure.data:
         return None
     figure.add_scatter(x=[0, 100], y=[0, 100], mode="lines", name="perfect", line=dict(color=MUTED, dash="dot"))
     dress(figure, 380, hovermode="closest")
     figure.update_xaxes(title_text="stated probability [%]", range=[0, 102])
-    return figure.update_yaxes(title_text="right [%]", range=[-2, 102])
+    return figure.update_yaxes(title_text="correct [%]", range=[-2, 102])
 
 
 def naming_page(
@@ -75,7 +75,7 @@ def naming_page(
     Args:
         rows: score of every case of the first diagnosis.
         summaries: by label, the diagnosis first, baselines after it.
-        title: of the page.
+        title: title of the page.
         commitment: SHA-256 of the list of sealed answers.
     """
     summary = next(iter(summaries.values()))

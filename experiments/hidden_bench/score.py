@@ -1,15 +1,15 @@
-"""What a verdict is worth: one case against its answer, many cases as rates with intervals.
+"""Scores of verdicts: one case compared with its answer, many cases as rates with intervals.
 
-It reads `verdict.yaml` as a diagnosis writes it and knows nothing of how the verdict was found:
+The scores depend only on `verdict.yaml`, which a diagnosis writes:
 
-    findings:          # what the robot has and the model lacks; the empty list: nothing, or nothing that has a name
+    findings:          # effects that the model does not include; an empty list if no effect is named
     - effect: backlash
-      joints: [elbow]            # all joints of the robot, or none: everywhere
+      joints: [elbow]            # all joints of the robot, or an empty list: everywhere
       probability: 0.93
-      size: 0.004                 # with the catalogue's `parameter`, and its 90 % `interval`, where there are such
+      size: 0.004                 # optional, with the catalogue's `parameter` and its 90 % `interval`
       interval: [0.003, 0.005]
       parameter: backlash_half_gap
-      of_base: false              # whether it is a number that every base has, far from what is usual
+      of_base: false              # whether it is an unusual value of a parameter that every baseline fit includes
       alternatives: [{effect: compliance, joints: [elbow], probability: 0.05}]
     gap: {<channel>: {before, after, floor}}
 """
@@ -32,10 +32,10 @@ CONFIDENT = 0.8
 """A wrong finding with a probability above this counts as confident and wrong."""
 
 NAMED = 0.5
-"""A finding that is more likely than not is a name; others are hints, which count in the calibration alone."""
+"""Probability above which a finding counts as a name; other findings only count in the calibration."""
 
 SAME: dict[str, str] = {"payload": "link_mass", "com_offset": "link_com"}
-"""Names of effects of the trunk, and of the link effects that they mean in a joint."""
+"""Names of trunk effects, and of the link effects to which they correspond in a joint."""
 
 BINS = 5
 """Bins of stated probability in the calibration table."""
@@ -44,21 +44,21 @@ MISSING = "no_verdict"
 """Claim for a case whose diagnosis failed."""
 
 NOTHING = "nothing"
-"""Claim for a verdict that names nothing."""
+"""Claim for a verdict without a name."""
 
 
 @dataclass(frozen=True)
 class BenchFinding:
-    """One effect that a verdict names, or an answer hides.
+    """One effect that a verdict names or an answer hides.
 
     Attributes:
-        name: of the effect.
-        joints: where; empty: everywhere.
-        probability: that it is there, as stated.
-        size: in the unit of the bench's table, None where not given in it.
-        interval: lowest and highest size, 90 %.
-        others: what it could be besides.
-        of_base: whether it is a number that every base has, far from what is usual: passed over where it is not hidden.
+        name: name of the effect.
+        joints: joints of the effect; empty: all joints.
+        probability: stated probability that the effect is present.
+        size: size in the unit of the bench's table; None if not given in this unit.
+        interval: 90 % interval of the size, lowest and highest value.
+        others: alternatives.
+        of_base: whether it is an unusual value of a parameter that every baseline fit includes; ignored if not hidden.
     """
 
     name: str
@@ -76,12 +76,12 @@ class BenchFinding:
 
 @dataclass(frozen=True)
 class BenchVerdict:
-    """What a diagnosis concluded.
+    """Verdict of a diagnosis.
 
     Attributes:
         findings: the most probable first.
-        gap: by channel, `before`, `after`, `floor`.
-        failed: whether there is none.
+        gap: `before`, `after` and `floor` by channel.
+        failed: whether the diagnosis wrote no verdict.
     """
 
     findings: tuple[BenchFinding, ...] = ()
@@ -93,11 +93,11 @@ def read_verdict(path: str | Path, joints: Sequence[str]) -> BenchVerdict:
     """Read `verdict.yaml`.
 
     Args:
-        path: of the file.
-        joints: of the robot.
+        path: path of the file.
+        joints: joints of the robot.
 
     Raises:
-        ValueError: if it is not as described above; says which entry.
+        ValueError: if the file does not have the format above; the message names the entry.
     """
     path = Path(path)
     try:
@@ -106,17 +106,17 @@ def read_verdict(path: str | Path, joints: Sequence[str]) -> BenchVerdict:
         raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
     entries = values.get("findings") if isinstance(values, Mapping) else None
     if not isinstance(entries, list):
-        raise ValueError(f"{path}: write `findings:` with a list, empty where nothing is missing")
+        raise ValueError(f"{path}: write `findings:` with a list, which is empty if no effect is missing")
     found = sorted((_finding(path, entry, joints) for entry in entries), key=lambda one: -one.probability)
     return BenchVerdict(tuple(found), values.get("gap") or {})
 
 
 def _finding(path: Path, entry: Any, joints: Sequence[str]) -> BenchFinding:
     if not isinstance(entry, Mapping) or not isinstance(entry.get("effect"), str):
-        raise ValueError(f"{path}: a finding names no `effect`: {entry!r}")
+        raise ValueError(f"{path}: a finding has no `effect`, got {entry!r}")
     name, probability = str(entry["effect"]), entry.get("probability")
     if isinstance(probability, bool) or not isinstance(probability, int | float) or not 0 <= probability <= 1:
-        raise ValueError(f"{path}: probability of {name} is {probability!r}, not a number within 0 and 1")
+        raise ValueError(f"{path}: probability of {name} must be a number between 0 and 1, got {probability!r}")
     where = _normal(entry.get("joints") or (), joints)
     name = SAME.get(name, name) if where else name
     size, interval = _size(path, name, entry)
@@ -125,23 +125,23 @@ def _finding(path: Path, entry: Any, joints: Sequence[str]) -> BenchFinding:
 
 
 def _size(path: Path, name: str, entry: Mapping[str, Any]) -> tuple[float | None, tuple[float, float] | None]:
-    """Size and interval where they are given in the catalogue's parameter that the table knows."""
+    """Size and interval, if they are given for the parameter in the bench's table."""
     kind, size, interval = KINDS.get(name), entry.get("size"), entry.get("interval")
     if interval is not None and (not isinstance(interval, Sequence) or len(interval) != 2):
-        raise ValueError(f"{path}: interval of {name} is {interval!r}, not [low, high]")
+        raise ValueError(f"{path}: interval of {name} must be [low, high], got {interval!r}")
     if kind is None or size is None or entry.get("parameter") not in (None, kind.parameter):
         return None, None
     return float(size), None if interval is None or None in interval else (float(interval[0]), float(interval[1]))
 
 
 def _normal(where: str | Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
-    """Joints in order; all of them, or none named, is everywhere."""
+    """Sorted joints; empty, which means everywhere, for all joints or none."""
     inside = {where} if isinstance(where, str) else set(where)
     return () if inside >= set(joints) else tuple(sorted(inside))
 
 
 def truth_of(answer: Mapping[str, Any]) -> tuple[BenchFinding, ...]:
-    """What an answer hides, as findings; sizes in the catalogue's parameters."""
+    """The hidden effects of an answer as findings, with sizes in the catalogue's parameters."""
     return tuple(
         BenchFinding(
             effect["name"],
@@ -155,20 +155,21 @@ def truth_of(answer: Mapping[str, Any]) -> tuple[BenchFinding, ...]:
 def score_case(
     answer: Mapping[str, Any], verdict: BenchVerdict, cost: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """One case: plain values, None where a question does not arise.
+    """Score of one case as plain values; None if a score does not apply.
 
     Args:
-        answer: what was hidden.
-        verdict: of the diagnosis.
-        cost: of the diagnosis, as `hidden_bench.bench.Cost`.
+        answer: the hidden effects.
+        verdict: verdict of the diagnosis.
+        cost: cost of the diagnosis, as `hidden_bench.bench.Cost`.
 
     Returns:
-        `exact`: the most probable name is hidden, in its joints; `name`, `joints`: the one and the other alone (joints
-        where the name is right and not everywhere); `family`: exact, or an alternative of that name is; `clean`: no
-        name is wrong; `both`, and `one`, at least one and none wrong (pairs); `named`: there is any name (null cases
-        and outsiders); `confident_wrong`: a finding stated with confidence is not hidden; `stated`: probability of
-        every finding and whether it is right; `covered`, `size_ratio` of the first right name with a size; `closure`:
-        share of the gap beyond the noise floor that was closed; `processor_seconds`, `seconds`, `peak_memory`.
+        `exact`: the most probable name and its joints are correct; `name`, `joints`: only the name, or only the joints,
+        are correct (joints: if the name is correct and the effect is not everywhere); `family`: exact, or one of its
+        alternatives is; `clean`: no name is wrong; `both`, and `one`: at least one correct and none wrong (pairs);
+        `named`: there is any name (null cases and outsiders); `confident_wrong`: a confident finding is wrong;
+        `stated`: probability of every finding, and whether it is correct; `covered`, `size_ratio`: of the first
+        correct name with a size; `closure`: share of the gap above the noise floor that was closed;
+        `processor_seconds`, `seconds`, `peak_memory`.
     """
     truth, kind = truth_of(answer), answer["kind"]
     told = kind in ("single", "pair", "poor")
@@ -208,7 +209,7 @@ def score_case(
 
 
 def _compared(truth: Sequence[BenchFinding], names: Sequence[BenchFinding]) -> dict[str, Any]:
-    """Of the first right name with a size: whether its interval holds the truth, and the ratio of both."""
+    """For the first correct name with a size: whether its interval contains the true size, and the ratio of both."""
     for finding in names:
         for one in truth:
             if finding.same(one) and finding.size is not None and one.size:
@@ -231,7 +232,7 @@ def closure(gap: Mapping[str, Any]) -> float | None:
 
 
 def rate(values: Sequence[bool | None]) -> dict[str, Any] | None:
-    """Share of true values among those that are not None, with its interval; None without any."""
+    """Share of true values among those that are not None, with its interval; None if all are None."""
     asked = [bool(value) for value in values if value is not None]
     if not asked:
         return None
@@ -260,7 +261,7 @@ RATES: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Rates with Wilson's intervals, calibration by fifths, medians with bootstrap intervals."""
+    """Rates with Wilson's intervals, calibration in five bins, medians with bootstrap intervals."""
     summary: dict[str, Any] = {"cases": len(rows), "failed": sum(row["claim"] == MISSING for row in rows)}
     for name, (entry, kinds, severities) in RATES.items():
         of = [row for row in rows if not kinds or row["kind"] in kinds]
@@ -272,7 +273,7 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def median(values: Sequence[float]) -> dict[str, Any] | None:
-    """Median with its 95 % bootstrap interval over cases, a point where all are alike; None without any."""
+    """Median with its 95 % bootstrap interval over cases, which has zero width for equal values; None without cases."""
     if not values:
         return None
     low = high = float(np.median(values))
@@ -288,9 +289,9 @@ def calibration(stated: Sequence[Sequence[Any]]) -> dict[str, Any]:
         stated: probability of each finding, and whether it was right.
 
     Returns:
-        `ece`, the mean over findings of |probability - share right| of their fifth, None without findings;
-        `reliability`, per fifth that holds findings: mean probability, share right with Wilson's interval (low, high),
-        number; `findings`, their number.
+        `ece`: the mean over findings of |probability - share of correct findings| in their bin; None without findings.
+        `reliability`: for each bin with findings, mean probability, share of correct findings with Wilson's interval
+        (low, high), and number of findings. `findings`: their total number.
     """
     table = []
     for fifth in range(BINS):
@@ -304,6 +305,6 @@ def calibration(stated: Sequence[Sequence[Any]]) -> dict[str, Any]:
 
 
 def random_name(names: Sequence[str], joints: Sequence[str], rng: np.random.Generator) -> BenchVerdict:
-    """Baseline: an effect drawn blindly, everywhere or in one joint with equal chance."""
+    """Baseline: a random effect, in all joints or in one joint with equal probability."""
     where = () if rng.random() < 0.5 else (str(rng.choice(joints)),)
     return BenchVerdict((BenchFinding(str(rng.choice(names)), where),))

@@ -111,5 +111,5 @@ def usage(config: str) -> str:
         parts += ["Groups (group=name):", "\n".join(listed)]
     if asked := asked_for(config):
         parts.append(f"`{asked}=` may be omitted for the first argument.")
-    parts.append("With -m, each of several values (seed=0,1,2) starts a run; --cfg job prints all settings.")
+    parts.append("With -m, every value in a list (seed=0,1,2) starts a separate run; --cfg job prints all settings.")
     return "\n\n".join(parts)

@@ -125,7 +125,9 @@ def commands_of(cfg: DictConfig, runner: PolicyRunner | None) -> CommandSource |
     if cfg.commands is None:
         return None
     if runner is None or "command" not in runner.bundle.manifest.layout:
-        raise ValueError(f"commands={cfg.commands}: this policy takes no commands; give one trained on walk_command")
+        raise ValueError(
+            f"commands={cfg.commands}: this policy takes no commands; give a policy trained on walk_command"
+        )
     return command_source(str(cfg.commands))
 
 
@@ -136,7 +138,7 @@ def check_policy(cfg: DictConfig, runner: PolicyRunner) -> Check:
     try:
         card = check_card(cfg.policy, runner.bundle)
     except ValueError as error:
-        return Check("policy card", False, f"{error}; or run it anyway with card=ignore")
+        return Check("policy card", False, f"{error}; to run the policy anyway, set card=ignore")
     return Check("policy card", True, f"{card.verdict} at {card.task}")
 
 

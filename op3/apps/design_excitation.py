@@ -92,7 +92,9 @@ def judge(cfg: DictConfig, bounds: dict[str, tuple[float, float]]) -> tuple[list
             candidates.append(PlannedRecording(name, mount, motion.duration, matrix))
             print(f"{name} on the {mount}: {motion.duration:.1f} s", flush=True)
     if not candidates:
-        raise ValueError(f"none of the motions can be played on mounts={list(cfg.mounts)}: {left_out or 'no motion'}")
+        raise ValueError(
+            f"none of the motions can be played on mounts={list(cfg.mounts)}: {left_out or 'no motion'}; choose others"
+        )
     return candidates, left_out
 
 

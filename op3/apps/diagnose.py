@@ -144,7 +144,9 @@ def main(cfg: DictConfig, truth: Callable[[], str] | None = None) -> Diagnosed:
     for name in cfg.without:
         effect_class(name)
     if cfg.planned and cfg.mode != "aliasing":
-        raise ValueError("planned= has no measurement to diagnose: add mode=aliasing, or give data= instead")
+        raise ValueError(
+            "planned motions contain no measurement to diagnose: add mode=aliasing, or give data= instead of planned="
+        )
     attempted = None if cfg.policy is None else attempts(cfg)  # errors are raised before work that takes minutes
     data: Any = None if cfg.planned else plain(cfg.data)
     logs, others = diagnosed_mount(planned_logs(cfg) if cfg.planned else read_logs(data, cfg.robot))

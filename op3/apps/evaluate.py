@@ -142,7 +142,9 @@ def card_folder(cfg: DictConfig) -> Path | None:
             f"card=true writes into a policy bundle, but policy={cfg.policy} is not one; give a bundle's folder"
         )
     if not os.access(folder, os.W_OK):
-        raise ValueError(f"card=true: nothing can be written to {cfg.policy}; copy the bundle to a folder of your own")
+        raise ValueError(
+            f"card=true: nothing can be written to {cfg.policy}; copy the bundle to a folder that you can write to"
+        )
     return folder
 
 

@@ -38,7 +38,7 @@ def look(path: Path, cfg: DictConfig) -> bool:
                 print(f"written to {side_path(path)}; correct it there")
             except OSError as error:
                 problem = f"{side_path(path)}: {(error.strerror or str(error)).lower()}"
-                print(f"{problem}; copy the log to a folder where its YAML can be written", file=sys.stderr)
+                print(f"{problem}; copy the log to a folder in which its YAML can be written", file=sys.stderr)
     options = {name: plain(cfg[name]) for name in OPTIONS if name in cfg}
     try:
         logs = read_episodes(path, options, check=False, robot=cfg.robot, proposed=proposed)

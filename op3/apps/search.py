@@ -63,5 +63,5 @@ def _trial(main: Callable[[DictConfig], CommandResult], cfg: DictConfig, values:
             runtime.output_dir = before
     print(result, flush=True)
     if result.objective is None:
-        raise ValueError("hydra/sweeper=population: this command's result has no number to optimise")
+        raise ValueError("hydra/sweeper=population: this command's result has no number to optimise; omit the sweeper")
     return result.objective

@@ -85,7 +85,9 @@ def robot_file(name: str | Path) -> Path:
     known = robot_files()
     path = known.get(str(name)) or Path(name)
     if path.suffix not in (".yaml", ".yml"):
-        raise ValueError(f"there is no robot {str(name)!r}{nearest(str(name), known)}; or give the path of a .yaml")
+        raise ValueError(
+            f"there is no robot {str(name)!r}{nearest(str(name), known)}; give a valid name or the path of a .yaml"
+        )
     if not path.is_file():
         beside = difflib.get_close_matches(str(path), map(str, path.parent.glob("*.yaml")), n=1)
         close = f"; the nearest is {beside[0]!r}" if beside else nearest(path.stem, known)

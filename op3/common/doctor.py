@@ -42,7 +42,7 @@ def processors() -> Iterator[Line]:
     """Cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    note = "" if cores >= 2 else ": training cannot collect and learn in parallel; use two"
+    note = "" if cores >= 2 else ": training cannot collect and learn in parallel; use two cores or more"
     yield GOOD if cores >= 2 else POOR, "cores", f"{cores}, {memory:.0f} GB of memory{note}"
 
 

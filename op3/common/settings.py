@@ -330,5 +330,5 @@ def parse_yaml(text: str, source: str | Path, raises: Callable[..., Exception] =
         raise raises(f"the file is {kind}, not a mapping", "write one `name: value` per line", source=source)
     for name in values:
         if not isinstance(name, str):
-            raise raises(f"{name!r} is not a name", "write one `name: value` per line", source=source)
+            raise raises(f"the key {name!r} is not text", "write one `name: value` per line", source=source)
     return values

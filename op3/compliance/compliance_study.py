@@ -97,7 +97,8 @@ def contestants(names: Sequence[str], task: Task, fixed_gains: Sequence[float], 
         made = PolicyBundle.load(name).manifest.action_map.robot if Path(name).is_dir() else task.robot
         if load_robot(made).name != task.robot:
             raise ValueError(
-                f"policy={name} was trained for the robot {made}; only walks of the {task.robot} are measured"
+                f"policy={name} was trained for the robot {made}, but the task's robot is {task.robot}; give a policy"
+                f" for {task.robot}"
             )
     actors = [find_actor(name, task, gain_scale=gain_scale) for name in names]
     first = actors[0]
@@ -136,7 +137,7 @@ class Study:
         self._options: dict[str, Any] = {"num_threads": num_threads, "gain_scale": gain_scale}
         for task in self.tasks.values():
             if task.cycle is None:
-                raise ValueError(f"grounds: task {task.name} has no gait; name tasks of walking")
+                raise ValueError(f"grounds: task {task.name} has no gait; give only walking tasks")
 
     def measure(self, actor: Actor, led: bool = True) -> Measured:
         """Measure everything for one policy."""

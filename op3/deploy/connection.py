@@ -116,7 +116,7 @@ def connect(
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings of a run around its main phase.
+    """Settings of a run, except those of its main phase.
 
     Attributes:
         dry: whether torque stays off; the loop runs without sending its currents.
@@ -228,7 +228,7 @@ def setup(connection: Connection, *, report: Report = print) -> ExitCode:
     """Write the settings that the start checks require, with torque off."""
     text = ", ".join(f"{name} = {value}" for name, value in SETTINGS.items())
     if not connection.operator.confirm(
-        f"Torque will be switched off, and {text} is written to the EEPROM of all servos."
+        f"Torque will be switched off, and {text} will be written to the EEPROM of all servos."
     ):
         report("not confirmed; nothing was written")
         return ExitCode.DECLINED

@@ -98,7 +98,7 @@ class Monitor:
         fresh = state.answered & (state.raw["voltage"] < ALIVE_COUNTS)
         if fresh.any():
             names = ", ".join(self._joints[i] for i in np.flatnonzero(fresh))
-            reason = f"restarted unexpectedly: {names}; check its cable and the battery"
+            reason = f"restarted unexpectedly: {names}; check the servo cables and the battery"
             raise Stop(ExitCode.SERVO_SHUTDOWN, reason)
 
     def _check_jump(self, silent: np.ndarray, state: RobotState) -> None:

@@ -50,7 +50,7 @@ class Console(Operator):
         if not self._prompted:
             self._prompted = True
             self._forget()
-            say("In the start pose. Put the robot where it should begin, then press Enter; Ctrl-C switches off.")
+            say("The robot is in the start pose. Put it where it should begin, then press Enter; Ctrl-C switches off.")
         ready, _, _ = select.select([sys.stdin], [], [], 0)
         return bool(ready) and sys.stdin.readline() != ""
 

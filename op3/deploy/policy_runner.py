@@ -76,10 +76,14 @@ class PolicyRunner:
             example = self._sense(home, 0.0 * home, np.zeros(3), np.zeros(3), 0)
             self._observer = Observer(manifest.observations, self._robot, manifest.history, example)
         except ValueError as error:
-            raise ValueError(f"field layout: this version of op3 does not have an observation ({error})") from None
+            raise ValueError(
+                f"field layout: this version of op3 does not know an observation of the policy ({error})"
+            ) from None
         if self._observer.layout != dict(manifest.layout):
             observed = self._observer.layout
-            raise ValueError(f"field layout: this version observes {observed}, but the policy {dict(manifest.layout)}")
+            raise ValueError(
+                f"field layout: this version observes {observed}, but the policy expects {dict(manifest.layout)}"
+            )
         for step in range(3):
             self.act(self.observe(home, 0.0 * home, np.zeros(3), np.zeros(3), step))
         self.reset()
@@ -194,7 +198,7 @@ class FollowPolicy(Phase):
 
     def _step(self, step: int, state: RobotState) -> None:
         if state.orientation is None or state.angular_velocity is None:
-            raise Stop(ExitCode.NON_FINITE, "the policy needs an IMU, and the robot has none", damp=True)
+            raise Stop(ExitCode.NON_FINITE, "the policy needs an IMU, but the robot has none", damp=True)
         seen = (state.position, state.velocity, state.orientation, state.angular_velocity)
         self._runner.velocity = self._asked(step)
         try:
@@ -265,7 +269,8 @@ def replay_policy(log: Rollout, runner: PolicyRunner) -> PolicyReplay:
     for what, size in (("action", asked.action_map.size), ("observation", asked.observation_size)):
         if f"policy/{what}" in log and (logged := log.array(f"policy/{what}").shape[-1]) != size:
             raise ValueError(
-                f"the log's {what}s have {logged} numbers, but this policy's have {size}; give the recorded policy"
+                f"the log's {what}s have {logged} numbers, but those of this policy have {size}; give the policy that"
+                " the log recorded"
             )
     taken = log.array("policy/action")
     seen = log.array("policy/observation") if "policy/observation" in log else np.full((log.rows, 1), np.nan)

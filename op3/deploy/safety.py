@@ -278,7 +278,10 @@ class Safety(Onlooker):
         """After a long silence, check for servos that have restarted and have no torque."""
         off = [name for name, value in self.bus.sync_read("torque_enable").items() if not value]
         if off:
-            raise Stop(ExitCode.SERVO_SHUTDOWN, f"torque is off on {', '.join(off)}: restarted by itself; check power")
+            raise Stop(
+                ExitCode.SERVO_SHUTDOWN,
+                f"torque is off in {', '.join(off)} after an unexpected restart; check the power supply",
+            )
 
     def write(self, state: RobotState, command: Command, verdict: MonitorResult) -> tuple[NDArray[np.int64], Command]:
         """Apply PD and all limits, and send the goal currents.

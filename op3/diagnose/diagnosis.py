@@ -35,8 +35,8 @@ SHORTEST = 15.0
 """Total duration of the fitted runs below which no finding is called likely [s]."""
 
 ON_ITS_FEET = (
-    "No effects are named from logs of a robot on the floor, because contacts hide the servos' torques: record it on a"
-    " stand, with all joints moving."
+    "No effects are named from logs of a robot on the floor, because contacts hide the servos' torques: record the"
+    " robot on a stand, with all joints moving."
 )
 STILL = "No joint moves in the fitted runs: move every joint through slow triangles and fast sines."
 """Why no effect can be named."""

@@ -75,7 +75,9 @@ class FixedGain:
         self._policy, self._joints = policy, len(action_map.joints)
         low, high = action_map.gain_low, action_map.gain_high
         if low is None or high is None:
-            raise ValueError(f"the servos of {action_map.robot} close their own loop; they take no fixed gain")
+            raise ValueError(
+                f"the servos of {action_map.robot} close their own position loop and accept no fixed P gain"
+            )
         if not low <= p_gain <= high:
             raise ValueError(f"a fixed gain must be between {low} and {high} A/rad, got {p_gain}")
         self._share = 2 * (p_gain - low) / (high - low) - 1
@@ -110,9 +112,7 @@ def find_actor(
     }
     if name in baselines:
         if name == "stiff" and task.cycle is None:
-            raise ValueError(
-                f"{field}=stiff walks, but task {task.name} has no gait; give task=walk or one on uneven ground"
-            )
+            raise ValueError(f"{field}=stiff walks, but task {task.name} has no gait; give a walking task such as walk")
         return Actor(name, baselines[name](), action_map)
     bundle = PolicyBundle.load(name)
     task.check_policy(bundle.manifest, f"{field}={name}")

@@ -43,7 +43,7 @@ def make_env(
     if not isinstance(model, RobotModel):
         name, model = model, model_for(load_robot(task.robot), None if model == "own" else model)
         if "current_pd" not in model.effect_names and task.action_map().gain_low is not None:
-            raise ValueError(f"model={name}: its servos take no gains, which a task commands; choose one such as paper")
+            raise ValueError(f"model={name}: its servos accept no P gains, but the task commands them; use model=paper")
     if isinstance(randomisation, str):
         randomisation = ParameterRanges(randomisation)  # type: ignore[arg-type]
     if randomisation is not None:

@@ -103,7 +103,7 @@ class LevelSetSampler(NSGAIISampler):
 
     def __init__(self, *, proposals: int, tolerated: float = 1.25, seed: int | None = None, **options: Any):
         if proposals < 0 or not tolerated > 1.0:
-            raise ValueError(f"proposals must not be negative, tolerated above 1, got {proposals} and {tolerated}")
+            raise ValueError(f"proposals must be at least 0 and tolerated above 1, got {proposals} and {tolerated}")
         super().__init__(seed=seed, **options)
         self._count, self._tolerated = proposals, tolerated
         self._random = np.random.default_rng(None if seed is None else [seed, 11])

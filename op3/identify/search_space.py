@@ -51,11 +51,11 @@ def parse_range(key: str, text: Any) -> FloatDistribution:
             raise ValueError(f"the only tag is `log`, got {', '.join(sorted(sweep.tags))}")
         low, high, log = sweep.start, sweep.end, "log" in sweep.tags
         if not (isinstance(low, float) and isinstance(high, float) and math.isfinite(low) and math.isfinite(high)):
-            raise ValueError("its ends are not finite numbers")
+            raise ValueError("its bounds are not finite numbers")
         if low >= high:
-            raise ValueError(f"its lower end {low:g} is not below its upper end {high:g}")
+            raise ValueError(f"its lower bound {low:g} is not below its upper bound {high:g}")
         if log and low <= 0:
-            raise ValueError(f"its logarithm needs a lower end above 0, got {low:g}")
+            raise ValueError(f"a logarithmic range needs a lower bound above 0, got {low:g}")
         return FloatDistribution(low, high, log=log)
     except (HydraException, ValueError) as error:
         reason = str(error).strip().splitlines()[0]

@@ -215,7 +215,7 @@ def _stroke(start: float, end: float, speed: float, acceleration: float) -> Arra
 
 
 def levels_over_time(levels: Sequence[float], ramp: float, rest: float) -> Array:
-    """Holds at levels with jerk-limited ramps between (quintic, at rest at both ends), [time]."""
+    """Angles that hold each level, with jerk-limited (quintic) ramps between the levels, [time]."""
     smooth = minimum_jerk(sample_times(ramp, RATE) / ramp)
     stay = np.ones(round(rest * RATE))
     parts = [levels[0] * stay]

@@ -130,7 +130,8 @@ class Manifest:
         made, here = load_robot(self.action_map.robot).name, load_robot(robot).name
         if made != here:
             raise ValueError(
-                f"the policy was trained for the robot {made}, but this one is {here}; use a policy trained for it"
+                f"the policy was trained for the robot {made}, but this robot is {here}; use a policy trained for"
+                f" {here}"
             )
 
     def to_yaml(self) -> str:
@@ -160,7 +161,6 @@ class Manifest:
         manifest = cls(**values)
         if size is not None and size != manifest.observation_size:
             raise ValueError(
-                f"policy manifest: observation_size {size} is not the {manifest.observation_size} "
-                "that layout and history give"
+                f"policy manifest: observation_size is {size}, but layout and history give {manifest.observation_size}"
             )
         return manifest

@@ -82,7 +82,7 @@ def planned_motions(model: RobotModel, motions: Sequence[Motion]) -> list[Rollou
     reach = np.max([np.ptp(log.array("joint/position"), axis=0) for log in logs], axis=0)
     columns = np.flatnonzero(reach > STILL)
     if not columns.size:
-        raise ValueError(f"no joint moves more than {STILL:g} rad in these motions")
+        raise ValueError(f"no joint moves more than {STILL:g} rad in these motions; choose larger motions")
     joints = tuple(logs[0].joints[column] for column in columns)
     result = []
     for log in logs:

@@ -196,7 +196,7 @@ def _parts(spec: mujoco.MjSpec, content: RobotFile, followed: Followed) -> Itera
     yield Part("tendons", tuple(tendon.name or "one without a name" for tendon in spec.tendons), IGNORED)
     ignored = {name: coupling[0] for name, coupling in _mimics(spec, content.joints).items() if name in content.joints}
     couplings = tuple(f"{name} to {driver}" for name, driver in ignored.items())
-    yield Part("coupling", couplings, f"{IGNORED}: it has its own servo")
+    yield Part("coupling", couplings, f"{IGNORED}: the joint has its own servo")
     coupled = {*ignored, *(name for name, (driver, *_) in followed.items() if driver)}  # reported by couplings
     others = (e for e in spec.equalities if e.type != mujoco.mjtEq.mjEQ_JOINT or coupled.isdisjoint((e.name1, e.name2)))
     yield Part("equalities", tuple(e.name or " and ".join(filter(None, (e.name1, e.name2))) for e in others), IGNORED)
@@ -215,6 +215,6 @@ def _of_package(file: str, model: Path) -> Path:
     if found is None:
         raise ValueError(
             f"mesh package://{package}/{rest} was not found: put the folder {package!r} beside {model.name}, or write"
-            " the mesh's path in it"
+            " the mesh's path in that file"
         )
     return found

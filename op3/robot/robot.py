@@ -349,7 +349,7 @@ def exclude_neighbours(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 def _source(file: DataFile, path: Path, content: RobotFile) -> tuple[mujoco.MjModel, ModelSource]:
     """The compiled model with its base fixed, and its source."""
     if not os.path.isfile(path):  # False also for a name that is too long
-        raise file.fault(("model",), f"names {path}, where there is no file")
+        raise file.fault(("model",), f"names {path}, which does not exist; correct the path")
     try:
         source = read_model(path, content)
         model = source.spec.compile()

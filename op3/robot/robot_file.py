@@ -228,9 +228,13 @@ def check_names(file: DataFile, content: RobotFile, model: mujoco.MjModel, coupl
         raise file.fault(("poses", name), "is a pose that every robot has; use another name")
     for name, one in content.parameters.items():
         if one.sets == "mass" and one.factor * one.default <= 0:
-            raise file.fault(("parameters", name), f"makes a mass of {one.factor * one.default:g} kg")
+            raise file.fault(
+                ("parameters", name), f"makes a mass of {one.factor * one.default:g} kg; the mass must be above 0"
+            )
     if content.key_points and len(content.key_points) % max(1, len(content.feet)):
-        raise file.fault(("key_points",), f"are {len(content.key_points)}, which is not the same number for every foot")
+        raise file.fault(
+            ("key_points",), f"are {len(content.key_points)}, which is not a multiple of the number of feet"
+        )
 
 
 def slide_of(joint: str) -> str:
@@ -250,9 +254,9 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
             raise file.unknown(place, "joint", name, hinges)
         if model.jnt_type[model.joint(name).id] != mujoco.mjtJoint.mjJNT_HINGE:
             problem = (
-                "is not a hinge in the model: write `travel: <m/rad>` for how far its servo moves a slide, `held: 0.0` "
+                "is not a hinge in the model: write `travel: <m/rad>` if a servo moves it as a slide, `held: 0.0` "
             )
-            problem += "where it stays, or `coupled: {joint: <hinge>, ratio: <m/rad>}` if a hinge drives it"
+            problem += "if it stays in place, or `coupled: {joint: <hinge>, ratio: <m/rad>}` if a hinge drives it"
             raise file.fault(place, problem)
         if entry.travel is not None and slide_of(name) not in hinges:
             raise file.fault((*place, "travel"), "applies to a slide joint, but the model has a hinge here; remove it")
@@ -263,7 +267,7 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
         makes.append(_make(file, content, name))
         if (loop := content.loop or makes[-1].loop) != (content.loop or makes[0].loop):
             first = f"{next(iter(content.joints))} has {makes[0].loop!r} ({makes[0].name})"
-            whose = f"has a servo with the loop {loop!r} ({makes[-1].name}), where {first}"
+            whose = f"has a servo with the loop {loop!r} ({makes[-1].name}), but {first}"
             raise file.fault(place, f"{whose}: set one `loop:` for all servos")
         if entry.limits is not None:
             _check_limits(file, (*place, "limits"), entry.limits, model.joint(name), makes[-1].position_unit)
@@ -290,15 +294,15 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
     known = {*content.joints, *content.unpowered, *coupled}
     for name in hinges:
         if name not in known and model.jnt_type[model.joint(name).id] == mujoco.mjtJoint.mjJNT_BALL:
-            problem = f"leave out {name!r}, a ball joint, which no servo drives; remove it from the model"
+            problem = f"omit the ball joint {name!r}, which no servo can drive; remove it from the model"
             raise file.fault(("joints",), problem)
         if name not in known:
-            problem = (
-                f"leave out the model's joint {name!r}: list it with its servo, or as `{name}: {{passive: true}}`, "
-            )
+            problem = f"omit the model's joint {name!r}: list it with its servo, or as `{name}: {{passive: true}}`, "
             raise file.fault(("joints",), f"{problem}`{{coupled: {{joint: ..., ratio: ...}}}}` or `{{held: 0.0}}`")
     if (order := [name for name in hinges if name in content.joints]) != list(content.joints):
-        raise file.fault(("joints",), f"are in another order than in the model; write {', '.join(order)}")
+        raise file.fault(
+            ("joints",), f"are in a different order than in the model; write them in the order {', '.join(order)}"
+        )
 
 
 def _check_limits(
@@ -342,8 +346,11 @@ def _make(file: DataFile, content: RobotFile, joint: str) -> ServoMake:
     if isinstance(path, str) and named.lower() not in servo_files():
         raise file.unknown(place, "servo", named, servo_files())
     if isinstance(path, Path) and not os.path.isfile(path):
-        raise file.fault(place, f"names {path}, where there is no file")
+        raise file.fault(place, f"names {path}, which does not exist; correct the path")
     make = load_servo(path)
     if content.loop == "firmware" and make.position_law is None:
-        raise file.fault(("loop",), f"is 'firmware', but the {make.name} of {joint} has no position_law")
+        raise file.fault(
+            ("loop",),
+            f"is 'firmware', but the {make.name} of {joint} has no position_law; add one to its file, or change `loop`",
+        )
     return make

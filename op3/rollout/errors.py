@@ -62,4 +62,4 @@ def rename(name: object, known: Iterable[str], otherwise: str) -> str:
     """The remedy for an unknown name: the nearest valid name, or a general remedy if none is similar."""
     by_lower = {one.lower(): one for one in known}
     close = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
-    return f"rename it to {by_lower[close[0]]} if that is meant" if close else otherwise
+    return f"rename it to {by_lower[close[0]]} if that is what you mean" if close else otherwise

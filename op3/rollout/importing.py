@@ -157,7 +157,7 @@ def _guessed(recording: Recording, side: Side) -> dict[str, Column]:
 def _guess_warning(guessed: Mapping[str, Column]) -> list[LogFinding]:
     """A warning that the meanings of columns were guessed only from their names."""
     read = [f"{name} as {column.name}" for name, column in guessed.items() if column.name]
-    problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: names of columns were guessed"
+    problem = f"{', '.join(read[:4])}{' and so on' * (len(read) > 4)}: the meanings of these columns were guessed"
     remedy = "write them under `columns:` in the YAML"
     return [LogFinding(WARNING, problem, remedy, "columns", check="names")] if read else []
 
@@ -235,7 +235,7 @@ def _unknown(name: str, position: int, side: Side) -> LogError:
     entry = f"{{name: {meant.name}, unit: {meant.unit}}}" if meant and meant.unit else str(meant and meant.name)
     remedy = rename(name, known, "define it under `columns:` in the YAML")
     if meant and meant.name in known:
-        remedy = f"write `{name}: {entry}` under `columns:` in the YAML if that is meant"
+        remedy = f"if it is {meant.name}, write `{name}: {entry}` under `columns:` in the YAML"
     return LogError("unknown column", remedy + ", or remove the column", column=shown_name, row="header")
 
 
@@ -321,7 +321,7 @@ def _mend(columns: Columns, side: Side) -> None:
         raise LogError(problem, "omit the column", source=side.source, column=f"field scale.{none}")
     if wide := next((joint for joint, angle in options.shift.items() if abs(angle) > 4 * np.pi), None):
         problem = f"{options.shift[wide]:g} rad is more than two turns and looks like degrees"
-        raise LogError(problem, "write it in radians", source=side.source, column=f"field shift.{wide}")
+        raise LogError(problem, "write the shift in radians", source=side.source, column=f"field shift.{wide}")
     for joint in dict.fromkeys([*listed, *options.shift]):
         names = [name for name in (f"{joint}.position", f"{joint}.target") if name in columns]
         angles = {name: np.unwrap(columns[name]) for name in names}
@@ -395,6 +395,6 @@ def _unread(arrays: dict[Any, np.ndarray], joints: Sequence[str]) -> list[LogFin
         for index in np.flatnonzero(empty.any(0) | (key[0] == "imu")):
             rows = empty.any(1) if key[0] == "imu" else empty[:, index]
             problem = f"{rows.sum()} of {len(values)} rows contain no number"
-            remedy = "remove these rows or fill them; until then the channel is not used"
+            remedy = "remove these rows or fill them; until then, the channel is not used"
             findings.append(LogFinding(WARNING, problem, remedy, columns[index], set_aside=True, check="no number"))
     return findings

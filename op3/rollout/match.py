@@ -62,7 +62,7 @@ def unexplained(values: np.ndarray, causes: np.ndarray) -> float:
 
 
 def as_if(*readings: tuple[str, float, str], tolerance: float = 0.05) -> str:
-    """Text with the first unit that fits the values' names, factors and SI units."""
+    """Text that names the first fitting unit, for quantities given by name, factor and SI unit."""
     units = ((who, likely_unit(ratio, unit, tolerance)) for who, ratio, unit in readings)
     return next((f", as if {who} were in {unit}" for who, unit in units if unit), "")
 

@@ -47,8 +47,8 @@ def propose(path: Path, robot: str | None = None) -> Proposal:
     if known is not None:
         columns = {name: _of_robot(column, known) for name, column in columns.items()}
         if not any(column.name and column.name.rpartition(".")[0] in known.joints for column in columns.values()):
-            problem = f"it has none of the joints of {known.name}, which are {', '.join(known.joints)}"
-            remedy = "give the robot that made the log, or import it without robot= and correct the names in the YAML"
+            problem = f"the log has none of the joints of {known.name}: {', '.join(known.joints)}"
+            remedy = "give the robot that made the log, or import the log without robot= and correct the YAML"
             raise LogError(problem, remedy, source=path)
         there = {column.name.rpartition(".")[0] for column in columns.values() if column.name}
         # its conventions are in the columns

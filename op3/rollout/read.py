@@ -130,7 +130,7 @@ def reader_of(path: Path) -> Reader:
         if not path.exists():
             there = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
             named = [str(path.parent / name) for name in difflib.get_close_matches(path.name, there, n=1)]
-            remedy = f"correct it to {named[0]} if that is meant" if named else "correct the path of the log"
+            remedy = f"correct the path if you mean {named[0]}" if named else "correct the path of the log"
             raise LogError("there is no such file or folder", remedy, source=path)
         raise LogError(problem, f"name {kinds()}", source=path)
     return reader

@@ -118,8 +118,12 @@ class Recorder:
         for key, place in self._layout.items():
             value = np.asarray(row[key], dtype=np.float64)
             if value.size != place.stop - place.start:
-                problem = f"{value.size} numbers instead of {place.stop - place.start}"
-                raise LogError(problem, "give one number per name on the channel's last axis", column=key_name(key))
+                problem = f"got {value.size} numbers, expected {place.stop - place.start}"
+                raise LogError(
+                    problem,
+                    "give one number for each name of the channel's last axis (for example, each joint)",
+                    column=key_name(key),
+                )
             out[place] = value.reshape(-1)
         switches = out[self._binary]
         if not ((out >= self._low) & (out <= self._high)).all() or (switches * (1 - switches)).any():

@@ -92,7 +92,7 @@ class Rollout:
         other = [joint for joint in self.joints if joint not in robot.joints]
         if other and self.metadata.mount != "pendulum":
             problem = f"{robot.name} has no joint {', '.join(other[:6])}"
-            remedy = "name the log's robot with robot=<name or file> or `robot_file` in its YAML"
+            remedy = "name the log's robot with robot=<name or file> or `robot_file` in the log's YAML"
             raise LogError(problem, remedy, source=self.metadata.recording)
         return robot
 

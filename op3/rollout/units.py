@@ -58,7 +58,7 @@ _ALIASES |= {"m/s^2": "m/s2"}
 
 
 def canonical(name: str) -> str:
-    """A unit's name in `UNITS`, however it is spelled."""
+    """The name in `UNITS` of a unit in any spelling."""
     return _ALIASES.get(name, name)
 
 

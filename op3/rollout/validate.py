@@ -81,7 +81,11 @@ def _check_tensor(channel: Channel, value: object, batch: list[int], metadata: M
     wanted = [*batch, width_of(channel, metadata) or max(1, *value.shape[-1:])]
     if list(value.shape) != wanted:
         problem = f"the shape is {list(value.shape)} instead of {wanted}"
-        raise LogError(problem, "give one row per time, and one entry per name on the last axis", column=column)
+        raise LogError(
+            problem,
+            "give one row for each time, and one number for each name of the last axis (for example, each joint)",
+            column=column,
+        )
 
 
 def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, before: int = 0) -> None:
@@ -130,10 +134,10 @@ def check_time(time: np.ndarray, episode: int | None = None) -> None:
         problem, remedy = f"{time[row]:.10g} s repeats the time of row {row + 1}", "remove the duplicated row"
         if (more := int((~later).sum())) > len(time) // 20:
             problem += f", as in {more} rows in total"
-            remedy = "write times with more digits (float32 is too coarse for Unix time), or write each row once"
+            remedy = "write times with more digits (float32 is too coarse for Unix time), or write every row only once"
     else:
         problem = f"time decreases from {time[row]:.10g} s to {time[row + 1]:.10g} s"
-        remedy = "sort the rows, or write `split: true` into its YAML where a new recording starts"
+        remedy = "sort the rows, or write `split: true` into the log's YAML if new recordings start there"
         if -86400 <= steps[row] < -86340:
             remedy = "the log passes midnight: write dates as well, or add 86400 s to the times after it"
     raise LogError(problem, remedy, column="time", row=row + 2, episode=episode)

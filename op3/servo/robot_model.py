@@ -58,7 +58,7 @@ class RobotModel:
             if name not in known:
                 parameter(name)  # a name that no effect has gets its own message
                 raise ValueError(
-                    f"a value for {name!r} is given, but the effect that has it is off;"
+                    f"a value for {name!r} is given, but the effect with this parameter is off;"
                     f" effects on: {', '.join(self.effect_names)}"
                 )
             _check(known[name], self.estimates[name])

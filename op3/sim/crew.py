@@ -23,8 +23,8 @@ def processors() -> int:
 
 
 class Crew(Generic[T]):
-    """An object in this process, `worker`, and others in processes that start with the first call and end with this
-    process.
+    """Equal objects that share work: `worker` in this process, and one in each further process; these processes start
+    with the first call and end with this process.
 
     Args:
         make: makes the object; a function or class of a module, which is called in each process.

@@ -102,7 +102,7 @@ def to_bam(model: RobotModel, servo: str, joint: str) -> dict[str, Any]:
 
 
 def from_bam(content: Mapping[str, Any]) -> RobotModel:
-    """A model with BAM's parameters; the gain of the position loop is from the servo file.
+    """A model with BAM's parameters; the gain of the position loop comes from the servo file.
 
     Raises:
         ValueError: if a parameter is missing or no number, or the servo is unknown.
@@ -151,13 +151,16 @@ def from_pace(path: Path, base: RobotModel, robot: Robot) -> RobotModel:
     about = path.with_name("config.pt")
     for file in (path, about):
         if not file.is_file():
-            raise ValueError(f"{file}: there is no such file; give a folder as PACE wrote it")
+            raise ValueError(f"{file}: there is no such file; give a folder that PACE wrote")
     mean, run = (torch.load(file, map_location="cpu", weights_only=True) for file in (path, about))
     if not isinstance(run, Mapping) or not {"joint_order", "time"} <= run.keys():
         raise ValueError(f"{about}: `joint_order` or `time` is missing; give a folder that PACE wrote")
     joints, period = list(run["joint_order"]), float(torch.as_tensor(run["time"]).double().diff().median())
     if not isinstance(mean, torch.Tensor) or mean.shape != (4 * len(joints) + 1,) or not mean.isfinite().all():
-        raise ValueError(f"{path}: not the {4 * len(joints) + 1} finite numbers of {len(joints)} joints and a delay")
+        raise ValueError(
+            f"{path}: must contain {4 * len(joints) + 1} finite numbers, four for each of {len(joints)} joints, and a"
+            " delay"
+        )
     if unknown := [name for name in joints if name not in robot.joints]:
         raise ValueError(f"{about}: {robot.reference} has no joint {unknown[0]!r}; give `robot=` a file with that name")
     *by_joint, delay = mean.double().tolist()
@@ -197,7 +200,9 @@ def to_mjcf(model: RobotModel, robot: Robot, p_gain: float | None = None, d_gain
         kv, most = stall * values["derivative_gain"], stall * servo.max_duty
         damping = constant**2 / values["terminal_resistance"]
     elif p_gain is None:
-        raise ValueError("p_gain: these servos obey currents; write the gain of the loop around them in A/rad")
+        raise ValueError(
+            "p_gain is missing: the model's servos are driven by current; give the gain of their position loop [A/rad]"
+        )
     else:
         current: Any = model.effect("current_pd")
         kp, kv, most, damping = constant * p_gain, constant * d_gain, constant * current.current_limit, zero

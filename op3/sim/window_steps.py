@@ -1,8 +1,8 @@
-"""Windows of `op3.sim.WindowSimulation` from their lead to their end, each in one go.
+"""Simulates each window of `op3.sim.WindowSimulation` from its lead to its end.
 
-In all functions ``motion`` are measured states and commands, ``[row, joint]`` of `MOTION`; ``along`` the dynamics at
-these rows, ``[row, entry]`` with mass matrix, bias and gradient of the bias behind one another; ``here`` and ``there``
-those of one candidate at a tick and the next; ``work`` rooms ``[SLOTS, joint]`` of a window.
+In all functions, ``motion`` contains measured states and commands, ``[row, joint]`` of `MOTION`; ``along`` the dynamics
+at these rows, ``[row, entry]``: mass matrix, bias and gradient of the bias one after the other; ``here`` and ``there``
+the dynamics of one candidate at a tick and the next; ``work`` the working memory ``[SLOTS, joint]`` of a window.
 """
 
 from math import copysign
@@ -36,14 +36,14 @@ distance from the measurement; change of velocity; unknowns of a step; accelerat
 
 @part
 def copied(source, target):
-    """A copy of the numbers."""
+    """Copy the numbers of `source` to `target`."""
     for e in range(len(target)):
         target[e] = source[e]
 
 
 @part
 def mix(along, edits, weights, row, out):
-    """Dynamics at a row, with what edits of bodies add."""
+    """Dynamics at a row, including the contributions of edited bodies."""
     for e in range(len(out)):
         out[e] = along[row, e]
     for n in range(len(weights)):
@@ -83,7 +83,9 @@ def lead(s, p, motion, here, there, work, row, share):
 
 @part
 def begin(s, p, on, motion, misread, weights, work, row, supply_resistance):
-    """Joints where their readings say, as they are at the beginning of a lead; and the edits that this means."""
+    """Place the joints at the beginning of a lead so that the sensors give the measured readings, and set the weights
+    of the edits that account for angles that differ from their readings.
+    """
     command(s, motion[row])
     for j in range(len(s)):
         one, now = s[j], motion[row, j]
@@ -215,7 +217,7 @@ def solve_dry(mass, total, velocity, force, bound, change, rooms, first, last):
 def solve_linear(mass, total, force, change, rows, first, last):
     """Change of velocity in one step without dry friction, by elimination.
 
-    Arguments as for `solve_dry`; `rows` are room to work in, ``[joint, joint]``.
+    Arguments as for `solve_dry`; `rows` is working memory, ``[joint, joint]``.
     """
     for i in range(first, last):
         for k in range(first, last):
@@ -234,7 +236,7 @@ def solve_linear(mass, total, force, change, rows, first, last):
 
 
 def coupled(mass: np.ndarray) -> np.ndarray:
-    """Runs of neighbouring joints that no mass couples to the others, from first to behind the last, ``[limb, 2]``.
+    """Groups of consecutive joints that no mass couples to other joints: first joint and end, ``[limb, 2]``.
 
     Args:
         mass: ``[tick, joint, joint]``.
@@ -253,9 +255,9 @@ def simulate(
 
     Args:
         begin_row: first row; a row is a candidate times the number of windows, plus a window.
-        end_row: behind the last.
-        s: room for the signals, ``[joint]``; ``flat`` is the same memory as numbers.
-        past: room for deeper memory of the law.
+        end_row: row after the last.
+        s: memory for the signals, ``[joint]``; ``flat`` is the same memory as numbers.
+        past: memory for earlier values that the law needs.
         p: parameters, ``[candidate | 1, joint]``; and ``on``, the effects that are on.
         motion, along, damping: see above; damping is ``[row, joint, joint]``.
         starts, dynamics_starts: rows at which the lead of each window begins, ``[window]``.

@@ -99,7 +99,7 @@ class Limbs:
         self._inverse, self._bias = self._freedoms.dynamics(self.model, self.data, place, ahead)
 
     def run(self, count: int) -> None:
-        """Make at most `count` steps with the inertia of this tick, none beyond its end."""
+        """Make `count` steps with the inertia of this tick; no step may lie beyond its end."""
         servos = self._servos
         step_limbs(
             *servos.records,

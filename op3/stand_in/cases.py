@@ -47,8 +47,8 @@ OTHER_FORM_SHARE = 1 / 3
 """Share of cases in which the hidden effect has an unusual form."""
 
 LESS_SHARE = 0.3
-"""Share of cases, beyond those that hide one of `BASES`, whose robot lacks one of them and whose base model too, so
-that the base model does not give the answer away."""
+"""Share of further cases in which neither the robot nor the base model has one of the effects in `BASES`, so that the
+base model does not reveal the answer."""
 
 MIRROR_SHARE = 0.25
 """Share of effects of single joints that are in a joint and its mirror partner."""
@@ -304,7 +304,7 @@ def make_case(case: Case, folder: str | Path, answers: str | Path) -> Path:
 
 
 def write_answer(case: Case, answers: str | Path) -> Path:
-    """Write `<answers>/<case.name>.yaml`, or check that it is there to the byte."""
+    """Write `<answers>/<case.name>.yaml`; an existing file must have the same bytes."""
     path = Path(answers) / f"{case.name}.yaml"
     content = answer_bytes(case)
     if path.is_file() and path.read_bytes() != content:
@@ -315,7 +315,7 @@ def write_answer(case: Case, answers: str | Path) -> Path:
 
 
 def answer_bytes(case: Case) -> bytes:
-    """The answer's file, to the byte."""
+    """The bytes of the answer's file."""
     return yaml.safe_dump(case.answer(), sort_keys=False).encode()
 
 
@@ -329,7 +329,7 @@ def seal(answers: str | Path) -> Path:
 
 
 def commit(cases: Sequence[Case], answers: str | Path) -> Path:
-    """Write and seal all answers; those sealed before must be the same to the byte.
+    """Write and seal all answers; answers sealed before must have the same bytes.
 
     Raises:
         ValueError: if the folder contains answers of another bench.

@@ -189,7 +189,7 @@ class HiddenWorld:
         return hashlib.sha256(repr(dataclasses.astuple(self)).encode()).hexdigest()[:12]
 
     def replace(self, **changes: Any) -> HiddenWorld:
-        """A world that differs in some numbers."""
+        """A copy with some parameters changed."""
         return dataclasses.replace(self, **changes)
 
     def per_joint(self, count: int) -> dict[str, NDArray[np.float64]]:
@@ -220,7 +220,7 @@ class HiddenWorld:
 
     @classmethod
     def of(cls, values: Mapping[str, Any], origin: str) -> HiddenWorld:
-        """A world from what its file says; `origin` is named in errors."""
+        """A world from the content of its file; errors name `origin`."""
         values = dict(values)
         drawn = values.pop("draw", None)
         try:
@@ -248,7 +248,7 @@ class HiddenWorld:
         raise ValueError(f"there is no world {str(name)!r}; choose random, {known}, or the path of a YAML file")
 
     def save(self, path: str | Path) -> Path:
-        """Write every number to a YAML file."""
+        """Write all parameters to a YAML file."""
         path = Path(path)
         path.write_text(yaml.safe_dump(dataclasses.asdict(self), sort_keys=False), encoding="utf-8")
         return path

@@ -52,8 +52,8 @@ class ParameterRanges:
             found = {name: intervals[name] for name in names if name in intervals}
         missing = [name for name in names if name not in found]
         if missing or not found:
-            what = f"no {self.source} for {', '.join(missing)}" if missing else "no parameter with an interval"
-            raise ValueError(f"randomisation: the model has {what}; it has {', '.join(known)}")
+            what = f"no {self.source} of {', '.join(missing)}" if missing else "no parameter with an interval"
+            raise ValueError(f"randomisation: the model has {what}; its parameters are {', '.join(known)}")
         return found  # type: ignore[return-value]
 
     def draw(self, model: RobotModel, seed: int) -> dict[str, float]:

@@ -228,7 +228,7 @@ def planted(state: State, height: float = 0.02, name: str | None = None) -> Tens
 def _swing(state: State, name: str | None) -> Tensor:
     feet = state.step.foot_force.shape[-1]
     if feet not in FOOT_OFFSETS:
-        raise ValueError(f"a gait needs two or four feet and the task's gait, got {feet} feet")
+        raise ValueError(f"a gait needs two or four feet, got {feet} feet")
     swing = swing_of_feet(state.phase, feet)
     return swing if name is None else swing * state.commands[name].ne(0.0).any(-1, keepdim=True)
 

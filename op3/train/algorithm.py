@@ -165,8 +165,9 @@ class Algorithm(nn.Module, ABC):
         if shapes[0] != shapes[1] or known.activation != chosen.activation:
             raise ValueError(
                 f"the initial policy has hidden layers {list(known.hidden)} ({known.activation}) and "
-                f"{known.observation_size} observations, this run {list(chosen.hidden)} ({chosen.activation}) and "
-                f"{self.observation_size}; use the settings of its training"
+                f"{known.observation_size} observations, but this run has {list(chosen.hidden)} ({chosen.activation})"
+                " and "
+                f"{self.observation_size}; use the settings with which the policy was trained"
             )
         with torch.no_grad():
             for name, value in here.items():

@@ -99,7 +99,8 @@ class OffPolicy(Algorithm):
         chosen = self.settings
         if chosen.buffer < 2 * self.environments:
             raise ValueError(
-                f"a buffer of {chosen.buffer} transitions has fewer than two steps of {self.environments} environments"
+                f"buffer must hold two steps of {self.environments} environments or more, got {chosen.buffer}"
+                " transitions"
             )
         self.steps = self.learned = self.stored = 0
         storage = IndexSelectStorage(chosen.buffer, device=self.device)
@@ -211,7 +212,9 @@ class OffPolicy(Algorithm):
             data = state["buffer"]
             size = len(data["action"])
             if size > self.settings.buffer:
-                raise ValueError(f"the stored buffer has {size} transitions, but this run's has {self.settings.buffer}")
+                raise ValueError(
+                    f"the stored buffer has {size} transitions, more than this run's buffer of {self.settings.buffer}"
+                )
             self.buffer.extend(TensorDict(data, [size]).unflatten_keys("."))
             self.buffer.writer.load_state_dict(state["writer"])
             self.stored = self.steps

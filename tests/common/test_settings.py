@@ -66,7 +66,7 @@ def test_what_configs_write_is_understood():
         (b"a: [1\nb: 2", "line 2 is not valid YAML"),
         (b"steps: !!int three", "is not valid YAML"),
         (b"- 1", "is a list, not a mapping"),
-        (b"1: 2", "1 is not a name"),
+        (b"1: 2", "the key 1 is not text"),
         (b"a: 1\nb: 2\na: 3", "field a: the key is on line 1 and again on line 3"),
         (b"", "is empty, not a mapping"),
         (b"\xff\xfe\xff", "is not UTF-8 text"),

@@ -27,7 +27,7 @@ def test_a_policy_of_another_robot_is_refused(tmp_path):
     """By name, before anything is measured, without a setting that the command does not have."""
     folder = hold_policy("walk", robot="quadruped").save(tmp_path / "policy")
     with pytest.raises(
-        ValueError, match=r"policy was trained for the robot quadruped; only walks of the op3 are measured$"
+        ValueError, match=r"policy was trained for the robot quadruped, but the task's robot is op3; give"
     ):
         contestants([str(folder)], find_task("walk"), [])
 

@@ -258,7 +258,7 @@ def test_deploy_script_and_replay(tmp_path):
     refused = run_script("deploy.py", *common, "port=emulated", f"hydra.run.dir={tmp_path / 'refused'}")
     assert refused.returncode == ExitCode.START_CHECK
     assert f"FAIL policy card: {bundle} has no card" in refused.stdout
-    assert refused.stdout.rstrip().endswith("or run it anyway with card=ignore")
+    assert refused.stdout.rstrip().endswith("to run the policy anyway, set card=ignore")
     common = (*common, "card=ignore")
     result = run_script(
         "deploy.py", *common, "port=emulated", "duration=0.5", "mount=stand", f"hydra.run.dir={tmp_path / 'run'}"

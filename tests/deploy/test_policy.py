@@ -78,7 +78,7 @@ def test_replay_tells_another_policy(tmp_path):
     assert not result.ok
     assert result.first == 0
     assert "different actions from step 0 on" in str(result)
-    with pytest.raises(ValueError, match="observations have 124 numbers, but this policy's have 256"):
+    with pytest.raises(ValueError, match="observations have 124 numbers, but those of this policy have 256"):
         replay_policy(log, PolicyRunner(hold_policy("walk"), robot="op3"))
 
 
@@ -125,5 +125,5 @@ def test_a_policy_for_another_loop_is_refused():
     with pytest.raises(ValueError, match=r"field gain_high of the policy's manifest is 50 A/rad.*limits\.p_gain"):
         PolicyRunner(bundle, robot="op3")
     PolicyRunner(bundle, p_gain=50.0, robot="op3")
-    with pytest.raises(ValueError, match="was trained for the robot op3, but this one is arm; use a policy"):
+    with pytest.raises(ValueError, match="was trained for the robot op3, but this robot is arm; use a policy"):
         PolicyRunner(hold_policy(), robot="arm")

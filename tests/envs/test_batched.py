@@ -155,7 +155,7 @@ def test_unknown_names_are_refused():
     """Unknown tasks and backends are named, with those there are."""
     with pytest.raises(ValueError, match=r"unknown task 'run'; there are balance,"):
         make_env("run")
-    with pytest.raises(ValueError, match="model=sts3032: its servos take no gains"):
+    with pytest.raises(ValueError, match="model=sts3032: its servos accept no P gains"):
         make_env("balance", "sts3032", 1)
     with pytest.raises(ValueError, match="unknown backend"):
         make_env("balance", backend="gpu")

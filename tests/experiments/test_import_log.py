@@ -9,7 +9,7 @@ from tests.scripts import run_script
 @pytest.mark.parametrize(
     ("option", "code", "said"),
     [
-        ("", 1, "write `split: true` into its YAML"),
+        ("", 1, "write `split: true` into the log's YAML"),
         ("split: true", 0, "part-1: 100 rows"),
         ("scale: {l_knee.velocty: 2}", 1, "l_knee.velocty is not in the log; rename it to l_knee.velocity"),
     ],

@@ -95,7 +95,7 @@ def test_broken_weights_are_refused(bundle, tmp_path, spoil, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("history: 1", "history: 2", "observation_size 124 is not the 186"),
+        ("history: 1", "history: 2", "observation_size is 124, but layout and history give 186"),
         ("history: 1", "history: -1", "history must be at least 0, got -1"),
         ("format: op3-policy/1", "format: other", "format must be"),
         ("task: balance\n", "", "task is missing"),

@@ -79,7 +79,7 @@ def test_what_was_accepted_is_not_told_as_refused(tmp_path):
     report(tmp_path, distance=60.0)
     text = (tmp_path / "index.html").read_text()
     assert "No candidate came closer" not in text
-    assert "the distance changed from 50 to 60 over these, and from 40 to 20 over fresh ones" in text
+    assert "the distance changed from 50 to 60 over the latter, and from 40 to 20 over fresh ones" in text
 
 
 def test_seeds_are_summed_up_by_mean_and_deviation(tmp_path):

@@ -157,10 +157,10 @@ def test_robots_travel_between_processes(tmp_path):
         ({"  j1:": "  j11:"}, r"line 9: joints.j11 names the joint 'j11', which does not exist; the nearest is 'j1'"),
         ({"servo:": "law: papr\nservo:"}, r"line 6: law names the law 'papr'.* the nearest is 'paper'"),
         ({"sts3215": "sts321"}, r"line 6: servo names the servo 'sts321'.* the nearest is 'sts3215'"),
-        ({"sts3215": "mine.yaml"}, r"line 6: servo names .*mine.yaml, where there is no file"),
+        ({"sts3215": "mine.yaml"}, r"line 6: servo names .*mine.yaml, which does not exist; correct the path"),
         (
             {"{bus_id: 1}": "{bus_id: 1, servo: xm430-w350}"},
-            r"joints.j1 has a servo with the loop 'firmware' \(sts3215\), where j0 has 'current' \(xm430-w350\): set",
+            r"joints.j1 has a servo with the loop 'firmware' \(sts3215\), but j0 has 'current' \(xm430-w350\): set",
         ),
         ({"unit: count": "unit: conut"}, r"line 10: joints.j2.log.unit names the unit 'conut'.* nearest is 'count'"),
         (
@@ -172,15 +172,15 @@ def test_robots_travel_between_processes(tmp_path):
         ({"sign: -1": "sign: 2"}, r"line 10: joints.j2.log.sign must be one of 1 or -1, got 2"),
         ({"home: 0.4": "home: 4"}, r"line 9: joints.j1.home is 4 rad, outside its limits -1.5 to 1.5"),
         ({"home: 0.4": "hmoe: 4"}, r"line 9: joints.j1.hmoe is not a field; the nearest is 'home'"),
-        ({"four.xml": "for.xml"}, r"line 3: model names .*for.xml, where there is no file"),
-        ({"four.xml": "f" * 400}, r"line 3: model names .*ffff, where there is no file"),
+        ({"four.xml": "for.xml"}, r"line 3: model names .*for.xml, which does not exist; correct the path"),
+        ({"four.xml": "f" * 400}, r"line 3: model names .*ffff, which does not exist; correct the path"),
         (
             {"fixed: true": "fixed: true\nimu: eye"},
             r"line 6: imu names the site 'eye', which does not exist; there are none",
         ),
         (
             {"joints:": "joints:\n  j3: {bus_id: 9}", "\n  j3: {bus_id: 4}": ""},
-            "write j0, j1, j2, j3",
+            "write them in the order j0, j1, j2, j3",
         ),
         ({"joints:": "joints: ["}, r"is not valid YAML"),
         (
@@ -251,7 +251,9 @@ def test_an_unknown_robot_is_answered_with_the_nearest(tmp_path):
     (tmp_path / "my_arm.yaml").touch()
     with pytest.raises(ValueError, match=r"my_arms\.yaml; the nearest is '.*my_arm\.yaml'; correct the path"):
         load_robot(str(tmp_path / "my_arms.yaml"))
-    with pytest.raises(ValueError, match="there is no robot 'op4'; the nearest is 'op3'; or give the path"):
+    with pytest.raises(
+        ValueError, match="there is no robot 'op4'; the nearest is 'op3'; give a valid name or the path"
+    ):
         load_robot("op4")
     with pytest.raises(ValueError, match=r"there is no robot file nowhere/arn\.yaml; the nearest is 'arm'"):
         load_robot("nowhere/arn.yaml")

@@ -139,14 +139,14 @@ def test_a_servo_on_a_joint_that_mimics_another_is_told(tmp_path, caplog):
     """It may have one; the model's equality is then not used."""
     robot = hand(tmp_path, "  finger: {bus_id: 3}\n", MIMIC, HINGE)
     assert robot.joints == ("shoulder", "elbow", "finger")
-    assert "coupling of finger to elbow: ignored: it has its own servo" in caplog.text
+    assert "coupling of finger to elbow: ignored: the joint has its own servo" in caplog.text
 
 
 @pytest.mark.parametrize(
     ("joints", "finger", "said"),
     [
-        ("", HINGE, r"leave out the model's joint 'finger': list it with its servo, or as `finger: {passive: true}`"),
-        ("  finger: {bus_id: 3}\n", SLIDE, r"is not a hinge in the model: .*`held: 0.0` where it stays"),
+        ("", HINGE, r"omit the model's joint 'finger': list it with its servo, or as `finger: {passive: true}`"),
+        ("  finger: {bus_id: 3}\n", SLIDE, r"is not a hinge in the model: .*`held: 0.0` if it stays"),
         ("  finger: {passive: true, held: 0.1}\n", HINGE, r"line \d+: joints.finger must have one of passive"),
         ("  finger: {held: 5}\n", HINGE, r"joints.finger.held is 5, beyond the model's"),
         (

@@ -143,7 +143,7 @@ def test_a_relay_changes_nothing(tmp_path, count):
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        (states("/r/joint_states", angles=POSITION + 0.1), "both contain it, with different values"),
+        (states("/r/joint_states", angles=POSITION + 0.1), "both contain this column, with different values"),
         (
             states("/r/joint_states", joints=("a", "a", "b")),
             "contains the joint a twice in one message; publish every joint under a unique",
@@ -251,7 +251,7 @@ def test_arrays_of_two_controllers_are_of_different_joints(tmp_path):
     assert np.abs(log.array("command/position") - target(log.array("time")[:, 0])[:, columns]).max() < 0.03
     (tmp_path / "other").mkdir()
     filtered = [("/filtered/commands", ARRAY, BEGIN + t, array(0.9 * target(t)[0])) for t in TIME]
-    with pytest.raises(LogError, match="both contain it, with different values; keep one of the topics"):
+    with pytest.raises(LogError, match="both contain this column, with different values; keep one of the topics"):
         read(tmp_path / "other", states(), commands([0, 1, 2]), filtered)
 
 

@@ -99,7 +99,7 @@ def test_what_rostopic_prints_is_read_by_the_names_in_its_cells(tmp_path):
     assert np.abs(log.array("joint/position")[:, ::-1] - POSITION).max() < 1e-9
     assert log.duration == pytest.approx(TIME[-1])
     rows[400][2:4] = ["hip", "knee"]
-    with pytest.raises(LogError, match=r"row 401, column field.joint_names0: the name changes"):
+    with pytest.raises(LogError, match=r"row 401, column field.joint_names0: the joint name changes"):
         imported(write(tmp_path, header, rows))
 
 
@@ -152,7 +152,7 @@ def test_names_are_guessed_beside_metadata_too(tmp_path):
     names = ["t", "hip.cmd_pos", "knee.cmd_pos", "hip.q", "knee.q"]
     log = read_log(write(tmp_path, names, np.column_stack([TIME, TARGET, POSITION]).tolist(), ABOUT))
     assert np.array_equal(log.array("joint/position"), POSITION)
-    assert ["names of columns were guessed" in one.problem for one in log.findings] == [True]
+    assert ["the meanings of these columns were guessed" in one.problem for one in log.findings] == [True]
 
 
 @pytest.mark.parametrize(

@@ -490,7 +490,7 @@ def test_an_imported_log_is_in_its_robots_terms_once(tmp_path):
         text = (path / file).read_text()
         (path / file).write_text(re.sub(r"\[(.*?), (.*?)\]", r"[\1, \2, \1, \2, \1, \2]", text))
     before = read_log(path, "arm").array("joint/position")
-    with pytest.raises(LogError, match=r"it has none of the joints of op3, which are head_pan"):
+    with pytest.raises(LogError, match=r"the log has none of the joints of op3: head_pan"):
         propose(path, "op3")
     side_path(path).write_text(as_yaml(*propose(path, "arm")))
     for robot in ("arm", None):

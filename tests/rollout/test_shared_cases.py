@@ -165,13 +165,13 @@ def test_all_the_time_that_a_knee_hangs_is_named(name, log_rows):
     [
         ("mjcf_passive_hinge/m.yaml", "", "list it with its servo, or as `tail: {passive: true}`"),
         ("mjcf_passive_hinge/m.yaml", "  tail: {passive: true}\n", ""),
-        ("mjcf_slide/m.yaml", "", "leave out the model's joint 'finger'"),
-        ("mjcf_slide/m_listed.yaml", "", "write `travel: <m/rad>` for how far its servo moves a slide"),
+        ("mjcf_slide/m.yaml", "", "omit the model's joint 'finger'"),
+        ("mjcf_slide/m_listed.yaml", "", "write `travel: <m/rad>` if a servo moves it as a slide"),
         ("mjcf_slide/m.yaml", "  finger: {bus_id: 2, travel: 0.01, home: 1.0}\n", ""),
         ("mjcf_plain/m.yaml", "", ""),
         ("urdf_continuous/arm.yaml", "", ""),
         ("urdf_effort_limit/arm_0.05.yaml", "", ""),
-        ("urdf_mimic/arm.yaml", "", "coupling of finger_mimic to finger: ignored: it has its own servo"),
+        ("urdf_mimic/arm.yaml", "", "coupling of finger_mimic to finger: ignored: the joint has its own servo"),
         ("urdf_package_path/arm.yaml", "", ""),
     ],
 )

@@ -391,7 +391,7 @@ WARNED: dict[str, tuple[Change, str]] = {
     "held": (edit("joint_0.(position|velocity)", lambda v: v[np.arange(1000) // 10 * 10]), "only every 10 rows"),
     "a short hole": (gap(400, 412), "about 12 rows are missing before this one"),
     "a slower clock": (edit("time", lambda v: v + np.maximum(v - 4.5, 0)), "the intervals become 2 times as long"),
-    "lost rows of an uneven clock": (lost_unevenly, "the rows are missing, each alone"),
+    "lost rows of an uneven clock": (lost_unevenly, "the rows are missing, one at a time"),
     "no target": (
         put("joint_0.target", np.nan, 0, 1000),
         "target stays at 0 rad in every row while the joint moves by",
@@ -433,7 +433,7 @@ WARNED: dict[str, tuple[Change, str]] = {
     ),
     "lost rows": (
         edit(".*", lambda v: v[np.random.default_rng(0).random(1000) > 0.07]),
-        "the rows are missing, each alone",
+        "the rows are missing, one at a time",
     ),
 }
 
@@ -941,8 +941,12 @@ COUNT = 2 * np.pi / 4096
         (put("joint_2.target", 3.0, 500), "joint_2.target", "a target of 3 lies between"),
         (put("joint_2.target", 0.0, 550, 553), "joint_2.target", "a target of 0 lies between"),
         (put("joint_2.target", np.nan, 500, 1000), "joint_2.target", "target does not change for 499 rows"),
-        (rounded("joint_2.position", np.pi * 300 / 180 / 1023), "joint_2.position", "scaled, or from another servo"),
-        (rounded("joint_2.(position|velocity)", 1.1 * COUNT), "joint_2.position", "scaled, or from another servo"),
+        (
+            rounded("joint_2.position", np.pi * 300 / 180 / 1023),
+            "joint_2.position",
+            "scaled, or come from another servo",
+        ),
+        (rounded("joint_2.(position|velocity)", 1.1 * COUNT), "joint_2.position", "scaled, or come from another servo"),
         (held(2), "time", "only every second row"),
         (add("imu.gyro_z", 0.1), "imu.gyro_z", r"differs from the change of orientation by \+0.10\d? rad/s"),
         (put("imu.acc_z", 150.0, 500), "imu.acc_z", "a single reading of 150"),
@@ -969,7 +973,7 @@ def test_rows_in_which_nothing_was_read_are_told(tmp_path, column):
     )
     change = edit(names, lambda values: np.where(np.isin(np.arange(1000), [430, 431, 777]), 0.0, values))
     log = read_episodes(write(tmp_path, change, joints=2), check=False)[0]
-    told = [one for one in examine(log) if "all its values are 0 in 3 rows" in one.problem]
+    told = [one for one in examine(log) if "all values of the sensor are 0 in 3 rows" in one.problem]
     assert column in [one.column for one in told]
 
 
@@ -1208,7 +1212,7 @@ def test_a_clock_at_half_its_speed_is_told(tmp_path):
 
 def test_a_misspelt_option_is_refused_by_its_name(tmp_path):
     """In the YAML and in a call."""
-    with pytest.raises(LogError, match="'unwrapp': no such field; rename it to unwrap if that is meant"):
+    with pytest.raises(LogError, match="'unwrapp': no such field; rename it to unwrap if that is what you mean"):
         read_log(write(tmp_path, side="unwrapp: true\n"))
     (tmp_path / "other").mkdir()
     with pytest.raises(LogError, match="'spllit' is not an import option; rename it to split"):
@@ -1220,7 +1224,7 @@ def test_a_sensor_that_is_tilted_in_the_trunk_is_told():
     log = bench_log()
     force = Rotation.from_euler("y", 0.35).apply(log.array("imu/linear_acceleration"))
     (found,) = (one for one in examine(changed(log, imu__linear_acceleration=force)) if one.check == "gravity")
-    assert "0.35 rad apart: the sensor is tilted in the trunk" in found.problem
+    assert "0.35 rad apart: the sensor is mounted at an angle in the trunk" in found.problem
 
 
 def test_rates_in_the_frame_of_the_world_are_refused():
@@ -1602,9 +1606,7 @@ def test_duty_is_the_firmwares_gain_times_error():
         assert [said is not None and said in one for one in problems] == [True] * (said is not None)
 
 
-@pytest.mark.parametrize(
-    ("name", "told"), [("xl330", None), ("sts3302", "rename it to sts3"), ("acme", "known servos")]
-)
+@pytest.mark.parametrize(("name", "told"), [("xl330", None), ("sts3302", "rename it to sts3"), ("acme", "use one of")])
 def test_a_servo_of_which_nothing_is_known_is_told(name, told):
     """Its law and units are guesses then; the nearest name is named."""
     found = [one for one in examine(bench_log(servo=name)) if one.check == "unknown servo"]

@@ -101,8 +101,8 @@ def test_a_run_of_pace_is_a_model(tmp_path):
     ("joints", "mean", "said"),
     [
         (["nobody"], [0.1] * 5, "config.pt: arm has no joint 'nobody'"),
-        (None, [0.1] * 5, "mean_190.pt: not the 9 finite numbers of 2 joints"),
-        (None, [0.1] * 8 + [np.nan], "mean_190.pt: not the 9 finite numbers"),
+        (None, [0.1] * 5, "mean_190.pt: must contain 9 finite numbers, four for each of 2 joints"),
+        (None, [0.1] * 8 + [np.nan], "mean_190.pt: must contain 9 finite numbers"),
         (None, None, "mean_<iteration>.pt: there is no such file"),
     ],
 )

@@ -187,10 +187,10 @@ def test_a_verdict_file_reads_back(tmp_path):
     ("text", "message"),
     [
         ("verdict: maybe", "write `findings:` with a list"),
-        ("findings: [{joints: []}]", "names no `effect`"),
-        ("findings: [{effect: dte, probability: 80}]", "not a number within 0 and 1"),
-        ("findings: [{effect: dte}]", "probability of dte is None"),
-        ("findings: [{effect: dte, probability: 1, size: 1, interval: 3}]", "not \\[low, high\\]"),
+        ("findings: [{joints: []}]", "has no `effect`"),
+        ("findings: [{effect: dte, probability: 80}]", "must be a number between 0 and 1, got 80"),
+        ("findings: [{effect: dte}]", "probability of dte must be a number between 0 and 1, got None"),
+        ("findings: [{effect: dte, probability: 1, size: 1, interval: 3}]", "must be \\[low, high\\], got 3"),
         ("findings: [", "not valid YAML"),
     ],
 )

@@ -481,7 +481,7 @@ def test_settings_are_checked():
         ({"noise": "loud"}, "noise must be a number, got 'loud'"),
         ({"mirrored": 2.0}, "mirrored must be at most 1"),
         ({"epochs": 3}, "epochs is not a field"),
-        ({"buffer": 31}, "has fewer than two steps of 16 environments"),
+        ({"buffer": 31}, "buffer must hold two steps of 16 environments or more, got 31"),
     ):
         with pytest.raises(ValueError, match=message):
             SAC(Pendulum(16), **options)

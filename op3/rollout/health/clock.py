@@ -15,7 +15,7 @@ _SLOWEST, _FASTEST = 2.0, 20e3  # plausible range of the row rate of a robot log
 _UNITS = {1.0: "seconds", 1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 _AHEAD, _LONGEST = -1.0, 1.0  # range of searched delays of a position after its command [s]
 _USUAL = 0.2  # longest constant delay with which servos follow commands [s]; slower servos have no constant delay
-_SPLIT = "split the file there, or write `split: true` into its YAML to read the parts"
+_SPLIT = "split the file there, or write `split: true` into the log's YAML to read its parts"
 
 
 def _unit(times: float, least: float, most: float) -> str | None:
@@ -53,7 +53,7 @@ def rate(view: View) -> Found:
         unit = _unit(1 / (interval * said), 0.5, 2)
         row = int(np.argmax(np.abs(steps * said - 1) > _TOLERANCE)) + 1
         for name in (name for size, name in _UNITS.items() if 0.9 < interval * size / said < 1.1):
-            remedy = f"that is the interval in {name}; write rate: {1 / interval:.4g}"
+            remedy = f"`rate` contains the interval in {name}; write rate: {1 / interval:.4g}"
     elif not _SLOWEST < 1 / interval < _FASTEST:
         problem = f"the median interval of {interval:.6g} s is implausible for a robot"
         unit = _unit(1 / interval, _SLOWEST, _FASTEST)
@@ -81,9 +81,9 @@ def uneven(view: View) -> Found:
         problem = f"{long.sum()} intervals are over four times the usual {usual:.4g} s, up to {longest:.4g} s"
     elif not 1 / _CHANGE < change < _CHANGE:
         problem = f"the intervals become {change:.2g} times as long during the recording"
-        remedy = "check whether the clock or the rate was changed"
+        remedy = "check whether the clock was adjusted or the rate was changed"
     elif lost > 0.05 and (np.abs(steps / usual - np.round(steps / usual)) < 0.25).mean() > 0.9:
-        problem = f"about {lost:.0%} of the rows are missing, each alone"
+        problem = f"about {lost:.0%} of the rows are missing, one at a time"
     elif short > 0.05:
         problem = f"{short:.0%} of the intervals are shorter than half the usual {usual:.4g} s"
         remedy = "timestamp rows when they are read, not when they are written"

@@ -48,7 +48,7 @@ def drive(view: View) -> Found:
             problem = f"current differs from gain times error by {zero[joint]:+.2g} A on average: its zero is off"
             if abs(zero[joint]) > 5 * _ZERO and gain is not None:  # too large for a sensor's offset
                 problem += f", or the position is off by {zero[joint] / float(np.median(gain[rows, joint])):+.2g} rad"
-            yield view.found((key, joint), problem, "write `columns: {...: {offset: ...}}` into its YAML")
+            yield view.found((key, joint), problem, "write `columns: {...: {offset: ...}}` into the log's YAML")
         usual = float(np.median(factor[off])) if off.any() else 1.0
         readings = [("it", usual, CHANNELS[key].quantity.unit)]
         readings += [("the gain", 1 / usual if usual else 0.0, "A/rad")] if key == CURRENT else []

@@ -175,8 +175,8 @@ def gravity(view: View) -> Found:
     elif apart > (0.4 if falls else _TILTED):
         problem = f"gravity lies along {np.round(mean / size, 2)}, but the orientation says {np.round(expected, 2)}"
         where, error = (FORCE, axis), _apart(rest @ mean, expected) < min(0.3, 0.4 * apart)
-        problem += f": {done}" if error else f", {apart:.2g} rad apart: the sensor is tilted in the trunk"
-        turn = "rotate the sensor's readings by this angle into the body's frame"
+        problem += f": {done}" if error else f", {apart:.2g} rad apart: the sensor is mounted at an angle in the trunk"
+        turn = "rotate the sensor's readings into the body's frame"
         remedy = "write `sign: -1` for these axes under `columns:` in the YAML, or rename the axes" if error else turn
         error &= "all" in done
     else:
@@ -193,12 +193,12 @@ def _leans(view: View, force: np.ndarray, up: np.ndarray) -> Found:
     fit = match(view.summed(force) / span, view.summed(_STANDARD * up) / span)
     across, own, leans = fit.correlation[[0, 1], [1, 0]], fit.own[:2], fit.size_b[:2] > 0.3
     if np.abs(across).min() > 0.7 and np.abs(own).max() < 0.5 and leans.all():
-        problem = "x changes as y should with gravity, and y as x should: the two axes are swapped"
+        problem = "x changes as gravity should change y, and y as gravity should change x: the two axes are swapped"
         yield view.found((FORCE, 0), problem, "swap them under `columns:` in the YAML")
         return
     # accelerations of the trunk may mask gravity but do not reverse it
     for axis in np.flatnonzero(leans & (own < -0.3)):
-        problem = f"it decreases when the trunk's lean should increase it (correlation {own[axis]:.2f}): "
+        problem = f"the reading decreases when the trunk's lean should increase it (correlation {own[axis]:.2f}): "
         problem += f"the sign of {'xy'[axis]} is reversed"
         yield view.found((FORCE, axis), problem, "write `sign: -1` for it under `columns:` in the YAML")
 
@@ -212,7 +212,9 @@ def mount(view: View) -> Found:
     still = np.ptp(view.time) > 5 and moved > 0.3 and turned < _HELD[0] and held(view)
     if where == "stand" and turned > _HELD[1]:
         problem = f"the trunk turns by {turned:.2g} rad, more than it could on a stand"
-        yield view.found("field mount", problem, "write `mount: floor`, or the scene in which the robot stands")
+        yield view.found(
+            "field mount", problem, "write `mount: floor`, or the name of the scene in which the robot stands"
+        )
     elif where not in ("stand", "pendulum") and still:
         problem = f"the trunk turns by {turned:.2g} rad while joints move by {moved:.2g} rad, as if it were held"
         yield view.found("field mount", problem, "write `mount: stand`")

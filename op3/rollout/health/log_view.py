@@ -154,7 +154,7 @@ class View:
     ) -> LogFinding:
         """A problem in a column (name in the wide CSV, or channel and index), in one row or a range of rows counted
         from 0. With `aside` the column is excluded, as the remedy states; with `error` the log is refused."""
-        remedy += "; until then the channel is not used" if aside else ""
+        remedy += "; until then, the channel is not used" if aside else ""
         column = where if isinstance(where, str) else self.name(*where)
         first, last = (int(rows[0]), int(rows[-1])) if rows else (0, 0)
         at = ((first + 1, last + 1), (float(self.time[first]), float(self.time[last]))) if rows else (None, None)

@@ -38,7 +38,7 @@ def lost_turns(view: View) -> Found:
             count = abs(int(turns[row, joint]))
             count = "one turn" if count == 1 else f"{count} turns"
             problem = f"{name} jumps by {count} ({steps[row, joint]:+.3f} rad) at row {row + 2}"
-            remedy = "write `unwrap: true` into its YAML, or `shift: {joint: rad}` to shift the zero as well"
+            remedy = "write `unwrap: true` into the log's YAML, or `shift: {joint: rad}` to shift the zero as well"
             yield view.found((key, joint), problem, remedy, row + 1, error=True)
 
 
@@ -151,9 +151,13 @@ def zeros(view: View) -> Found:
             lost = [(a, b) for a, b in inside if min(away[a - 1], away[b]) > least]
             lost = [(a, b) for a, b in lost if not alone or part[a - 1, 0] * part[b, 0] > 0]
             rows = sum(b - a for a, b in lost)
-            problem = f"all its values are 0 in {rows} rows but not in neighbouring rows: nothing was read there"
+            problem = (
+                f"all values of the sensor are 0 in {rows} rows but not in neighbouring rows: nothing was read there"
+            )
             if alone:
-                problem = f"it is 0 in {rows} single rows but not in neighbouring rows: nothing was read or sent there"
+                problem = (
+                    f"the value is 0 in {rows} single rows but not in neighbouring rows: nothing was read or sent there"
+                )
             for column in range(1 if key == POSITION else len(part[0])) if rows > 2 * alone else ():
                 where, aside = (key, index + column), key == VELOCITY
                 yield view.found(where, problem, "remove these rows", lost[0][0], lost[0][1] - 1, aside=aside)

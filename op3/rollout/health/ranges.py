@@ -36,7 +36,7 @@ def beyond_limits(view: View) -> Found:
         problem = f"{out[at]:.0%} of the positions lie outside {low[at]:.2f} to {high[at]:.2f} rad, the limits of "
         problem, remedy = f"{problem}{known.name}", "check the sign and the zero"
         if names[at] in mirrored:
-            problem += f"; with reversed sign they would be inside{_turned_round(known, angles, mirrored)}"
+            problem += f"; with reversed signs, the positions would be inside{_turned_round(known, angles, mirrored)}"
             remedy = "write `sign: -1` for positions, targets, velocities and currents of these joints"
         yield view.found((POSITION, view.joints.index(names[at])), problem, remedy)
 
@@ -75,7 +75,7 @@ def constant_offset(view: View) -> Found:
         others, moves = [abs(other) for name, other in middle.items() if name != joint], np.ptp(np.sin(angle)) > 0.5
         if (turns := round(offset / TURN)) and abs(offset - turns * TURN) < 1.0 and np.ptp(off) < np.pi:
             problem = f"the position is {offset:+.3f} rad away from the command, about {turns:+.0f} turn"
-            yield view.found((POSITION, joint), problem, "write `unwrap: true` into its YAML", error=True)
+            yield view.found((POSITION, joint), problem, "write `unwrap: true` into the log's YAML", error=True)
             continue
         if len(others) >= 3:
             least = min(max(0.15, 5 * float(np.quantile(others, 0.75))), max(GIVES, 5 * float(off.std())))
@@ -134,7 +134,7 @@ def coarse(view: View) -> Found:
             elif steps[joint] > least or (decimal and parts > 1):
                 problem, remedy = f"{usual:.4g} or less", "write them with more digits"
             elif abs(parts / whole - 1) > 0.03 and not decimal:
-                problem, remedy = f"{count:.4g}: the values are scaled, or from another servo", "check their unit"
+                problem, remedy = f"{count:.4g}: the values are scaled, or come from another servo", "check their unit"
             else:
                 continue
             problem = f"the values come in steps of {steps[joint]:.4g}; a servo's steps are {problem}"
@@ -166,12 +166,12 @@ def bounds(view: View) -> Found:
             alone = (most > quantity.bound).sum() == 1 < len(most) - 1
             rarely = wrong[:, index].mean() < _RARELY and most[index] < 4 * np.pi
             if angles and rarely and np.abs(np.diff(column)).max() < _SMOOTH:
-                likely, remedy, error = "is reached without a jump", "check whether its unit is the radian", False
+                likely, remedy, error = "is reached without a jump", "check whether the column is in radians", False
             elif single:
                 likely, remedy = "occurs in single rows only", "remove these rows"
             elif angles and alone and column.min() >= -1 and quantity.bound < column.max() <= 101:
                 likely = "looks like percent of a gripper's opening, since no other joint exceeds its bound"
-                remedy = "write its range in rad over 100 as `unit:` of the column under `columns:` in the YAML"
+                remedy = "write the gripper's range [rad] divided by 100 as `unit:` of the column in the YAML"
             elif "degrees" in likely and "per second" not in likely and most[index] > 360 and not (column % 1).any():
                 likely = "looks like counts of an encoder"
             problem = f"{column[row]:.10g} is beyond {quantity.bound:g} {quantity.unit}".rstrip()
@@ -214,5 +214,5 @@ def impossible_speed(view: View) -> Found:
         sent, near = np.abs(np.diff(view.command[:, joint])), slice(max(at - 10, 0), at + 10)
         if not returns and sent[near].max() == sent[at] > 5 * np.median(sent[near]) > 0:
             problem += ", and so does its command: rows are missing there without a gap in the times"
-            remedy = "find the lost rows, and record the measured times"
+            remedy = "find out why rows are lost, and record the measured times"
         yield view.found((POSITION, joint), problem, remedy, at + 1, error=True)

@@ -72,7 +72,7 @@ def servo(view: View) -> Found:
     makes = {make.name for make in view.log.servos if make is not None} if view.metadata.robot_file else set()
     if view.make is None:
         known = {alias: make for make in servo_files() for alias in (make, *load_servo(make).aliases)}
-        there = f"known servos: {', '.join(servo_files())}; a new servo needs one file in assets/servos"
+        there = f"use one of {', '.join(servo_files())}, or add a file for a new servo in assets/servos"
         remedy = rename(name, known, there)
         yield view.found("field servo", f"there is no servo {name!r}", remedy)
     elif makes and view.make.name not in makes:

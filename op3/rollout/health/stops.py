@@ -47,7 +47,7 @@ def saturated(view: View) -> Found:
         aside = faster > 1.15 * top + size  # a smaller excess may be a scale error
         beside = min((leaps[row] for row in (first - 1, last) if 0 <= row < len(leaps)), default=0.0)
         if aside or (key != VELOCITY and beside > max(5 * size, 0.05 * top)):
-            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "which it reaches and leaves quickly"
+            how = f"while the joint moves at {faster:.3g} rad/s" if aside else "with fast changes before and after"
             problem = f"the value stays at {top:.4g} for up to {length} rows, {how}: it is clipped"
             remedy = "set a larger sensor range, or record slower motions"
             yield view.found((key, index), problem, remedy, first, last, aside=aside)
@@ -60,7 +60,7 @@ def stands_still(view: View) -> Found:
     yield from _sensors_stand(view, rows)
     for joint, (first, last, moved) in commands_stop(view).items():
         problem = f"the target does not change for {last - first} rows, while the joint moves by {moved:.3g} rad"
-        remedy = "record the sent targets, or cut the log here, and check whether torque was off"
+        remedy = "record the targets that were sent, or cut the log here; check also whether torque was off"
         yield view.found((COMMAND, joint), problem, remedy, first, last)
     for _, joint, velocity in view.columns(VELOCITY):
         yield from _velocity_stands(view, joint, velocity, rows)
@@ -68,7 +68,7 @@ def stands_still(view: View) -> Found:
         yield from _position_stands(view, joint, position)
         if np.ptp(target) == 0 and view.driven[:, joint].all() and (moved := np.ptp(position)) > GIVES:
             problem = f"target stays at {target[0]:.4g} rad in every row while the joint moves by {moved:.3g} rad"
-            remedy = "record the sent targets, or `torque_enable: 0` while the joint was moved by hand"
+            remedy = "record the targets that were sent, or `torque_enable: 0` if the joint was moved by hand"
             yield view.found((COMMAND, joint), problem, remedy)
         if off.sum() * view.interval > 1 and _follows(target[off], position[off], view.stride(0.05)):
             problem = "the joint follows its target although its torque is off according to the log"
@@ -250,7 +250,7 @@ def _astray(view: View, reported: set[int]) -> Found:
                 reported.add(joint)
                 more = f", and again {len(found) - 1} times," if len(found) > 1 else ""
                 problem = f"for {(end - first) * period:.2g} s{more} the joint stays {far:.2g} rad beyond all its "
-                problem += f"targets of the last {recent} s, at other times {usual:.2g} rad: "
+                problem += f"targets of the last {recent} s, but only {usual:.2g} rad at other times: "
                 problem += "its torque was off, or it was blocked"
                 last = min((end - 1) * stride, len(view.time) - 1)
                 yield view.found((POSITION, joint), problem, _LEAVE, first * stride, last)

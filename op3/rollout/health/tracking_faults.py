@@ -16,7 +16,7 @@ _MORE, _MOST = 1.4, 1.9  # suspicious and impossible ratio of motion to command;
 _SOFT = 0.3  # smallest ratio of motion to command of a servo that follows: the softest servo on a bench
 _PERIOD = 0.02  # row interval at which motions are examined [s]
 _SIGNS = "write `sign: -1` under `columns:` in the YAML for its position and velocity, or for its target"
-_GEAR = "check the resolution and the gear ratio of the conversion"
+_GEAR = "check the encoder resolution and the gear ratio with which the position was converted"
 
 
 def exchanged(view: View) -> dict[int, int]:

@@ -45,19 +45,19 @@ def velocity(view: View) -> Found:
     refuse = 2 * bad > moving.sum() and (bad > 1 or len(view.joints) == 1)
     factors, clock = [ratio for _, ratio in wrong.values() if ratio and ratio > 0], ""
     if len(factors) == len(wrong) == moving.sum() > 1 and max(factors) < 1.1 * min(factors):
-        clock = f"; in all joints, as if the clock ran at {factors[0]:.3g} times its speed, or positions were scaled"
+        clock = f"; all joints agree, as if the clock ran at {factors[0]:.3g} times its speed or positions were scaled"
     for joint, (problem, ratio) in wrong.items():
         sent = match(view.position[:, [joint]], view.command[:, [joint]])
         moves = float(sent.ratio[0, 0])  # the velocity may match the command, with a scaled position
         if refuse and is_unit(ratio):
             unit = likely_unit(ratio or 0.0, "rad/s", 0.05)
-            remedy = "convert both to radians and the same sign, or write `scale:` into its YAML"
+            remedy = "convert both to radians with the same sign, or write `scale:` into the log's YAML"
             remedy = f"write `unit: {unit}` for it under `columns:` in the YAML" if unit else remedy
             yield view.found((VELOCITY, joint), problem, remedy, np.abs(rate[:, joint]).argmax(), error=True)
         elif ratio and not refuse and sent.correlation[0, 0] > SURE and abs(np.log(max(moves * ratio, 1e-9))) < 0.15:
             problem = f"the position moves {moves:.3g} times as far as its command, and the velocity agrees with "
             problem += "the command"
-            remedy = "check the resolution and the gear ratio of the position's conversion"
+            remedy = "check the encoder resolution and the gear ratio with which the position was converted"
             yield view.found((POSITION, joint), problem, remedy)
         else:
             yield view.found((VELOCITY, joint), problem + clock, _CORRECT, aside=True)
@@ -166,7 +166,7 @@ def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
     elif clear and abs(ratio - 1) > max(_SCALED, grid / 2 / max(float(speed.std()), 1e-9)) + uncertain[0]:
         problem = f"the velocity is {ratio:.3g} times the derivative of the position"
         remedy = "check whether position, velocity or time was scaled (a scaled position differs from its command), "
-        remedy += "and write `scale:` into its YAML"
+        remedy += "and write `scale:` into the log's YAML"
     elif clear and loss > _SMOOTHED**2 + 8 * interval**2:
         problem = f"velocity is smoothed over {np.sqrt(loss):.1g} s or more"
     elif whole and abs(bias) > _DRIFT + uncertain[3] + grid / 2:
@@ -178,7 +178,7 @@ def _mild(view: View, joint: int, speed: np.ndarray, moves: bool) -> Found:
         far = far[np.abs(first[far] - first[worst]) < 2 * WINDOW / interval]
         rows = first[far[0]], last[far[-1]]
         problem = f"position and integrated velocity diverge by {size[worst]:.2g} rad within {WINDOW:g} s"
-        remedy = "check which of them is wrong there, and remove these rows"
+        remedy = "check which of the two is wrong there, and remove these rows"
     else:
         return
     yield view.found((VELOCITY, joint), problem, remedy, *rows, aside=remedy == _CORRECT)

@@ -56,7 +56,10 @@ def _echoed(header: list[str], table: np.ndarray, codes: dict[str, Codes]) -> Re
         if (listed := _LISTED.fullmatch(name)) is None:
             continue
         if len(known) > 1:
-            problem, remedy = f"the name changes, {', '.join([*known][:2])}", "record the messages as a bag"
+            problem, remedy = (
+                f"the joint name changes within the column: {', '.join([*known][:2])}",
+                "record the messages as a bag",
+            )
             raise LogError(problem, remedy, column=name, row=int((table[:, header.index(name)] != 0).argmax()) + 1)
         joints[listed[2]] = next(iter(known))
     columns: dict[str, np.ndarray] = {}

@@ -201,7 +201,7 @@ def _one_source(topics: list[Topic], path: Path) -> list[Topic]:
     here, there = ([n.rpartition(".")[0] for n in names if n.endswith(end)] for end in (".position", ".target"))
     if here and not there and not any(topic.is_array for topic in chosen.values()):
         problem = "no topic contains commands for these joints"
-        remedy = f"record the topic of the commands, whose name contains one of {', '.join(COMMAND_WORDS)}"
+        remedy = f"record the topic of the commands; its name must contain one of {', '.join(COMMAND_WORDS)}"
         raise LogError(problem, remedy, source=path, column="command/position")
     alike = {} if {*here} & {*there} else {t: [s for s in here if _behind(s, t) or _behind(t, s)] for t in there}
     named = {f"{t}.target": f"{s[0]}.target" for t, s in alike.items() if len(s) == 1}
@@ -219,7 +219,10 @@ def _behind(name: str, other: str) -> bool:
 def _differ(topic: Topic, other: Topic, path: Path, column: str) -> LogError:
     remedy = "keep one of the topics, for example with `ros2 bag convert` or `mcap filter`"
     return LogError(
-        f"{topic.name} and {other.name} both contain it, with different values", remedy, source=path, column=column
+        f"{topic.name} and {other.name} both contain this column, with different values",
+        remedy,
+        source=path,
+        column=column,
     )
 
 

@@ -35,7 +35,7 @@ class ServoBench:
         return path.is_file() and unpacked(path).suffix == ".json"
 
     def holds(self, path: Path) -> bool:
-        """Whether the file is a recording, because other JSON files may be beside it."""
+        """Whether the file is a recording; other JSON files may be in the same folder."""
         try:
             return b'"entries"' in read_bytes(path)
         except LogError:
@@ -46,7 +46,7 @@ class ServoBench:
         header = read_json(path)
         for name in _HEADER:
             if header.get(name) in (None, []):
-                remedy = f"record it again, or add `{name}`"
+                remedy = f"record the log again, or add `{name}`"
                 raise LogError("the key is missing or empty", remedy, source=path, column=f"field {name}")
         entries = header["entries"] if isinstance(header["entries"], list) else [header["entries"]]
         first = entries[0] if isinstance(entries[0], dict) else {}

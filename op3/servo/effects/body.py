@@ -18,10 +18,11 @@ class Payload(Effect):
     edits = (ModelEdit("body_mass", "base_body", "add", "base_mass_offset"),)
     secants = ({"base_mass_offset": 0.1},)
     fingerprint = (
-        "in phase with gravity, with a fixed ratio over all joints that carry the base link; a step between recordings"
+        "in phase with gravity, with a fixed ratio over all joints that carry the base link; it may change between"
+        " recordings"
     )
     confounders = ("com_offset", "link_mass", "torque_constant")
-    separating_experiment = "add a known mass; turn the base"
+    separating_experiment = "recordings with and without a known added mass, and in two orientations of the base"
 
 
 @register
@@ -43,7 +44,9 @@ class CentreOfMassOffset(Effect):
     secants = ({"base_com_offset_x": 0.005}, {"base_com_offset_z": 0.005})
     fingerprint = "in phase with the base link's gravity torque, with a direction that changes with the pose"
     confounders = ("payload", "encoder_offset", "cable_spring", "imu_mount", "ground_tilt")
-    separating_experiment = "turn the base: gravity turns, a spring does not; a known added mass"
+    separating_experiment = (
+        "two orientations of the base, because gravity turns with it but a spring does not; a known added mass"
+    )
 
 
 @register
@@ -56,7 +59,9 @@ class LinkInertia(Effect):
     name = "link_inertia"
     stage = Stage.BODY
     equation = "J_link += m_link k^2"
-    source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2, so the range is one of 0.16 m at most"
+    source = (
+        "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2, so the range covers discs of up to 0.16 m"
+    )
     parameters = (Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),)
     # no weight is a point: the most compact, a steel ball of 0.2 to 1 kg, has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2;
     # discs, screws and the arm add to it. With a single weight it is not distinguishable from the rotor's inertia
@@ -65,7 +70,7 @@ class LinkInertia(Effect):
     secants = ({"gyration_squared": 2e-3},)
     fingerprint = "proportional to acceleration, in the joint and in the joints that carry it"
     confounders = ("motor", "torque_constant")
-    separating_experiment = "fast motion of a neighbour: link inertia couples joints, the rotor does not"
+    separating_experiment = "fast motion of a neighbouring joint: link inertia couples joints, rotor inertia does not"
 
 
 @register
@@ -75,13 +80,13 @@ class LinkMass(Effect):
     name = "link_mass"
     stage = Stage.BODY
     equation = "m_link += dm"
-    source = "models from CAD miss screws and cables; range chosen by us"
+    source = "CAD models omit screws and cables; range chosen by us"
     parameters = (Parameter("link_mass_offset", "kg", -0.01, 0.3, 0.0, 0.0, "added to the moved link", least=-0.011),)
     edits = (ModelEdit("body_mass", "joint_body", "add", "link_mass_offset"),)
     secants = ({"link_mass_offset": 0.02}, {"link_mass_offset": 0.1})
     fingerprint = "in phase with gravity, with a fixed ratio over all joints that carry the link"
     confounders = ("payload", "link_com", "torque_constant", "encoder_offset")
-    separating_experiment = "add a known mass; turn the base"
+    separating_experiment = "recordings with and without a known added mass, and in two orientations of the base"
     scopes = ("joint",)
 
 
@@ -92,7 +97,7 @@ class LinkCentreOfMass(Effect):
     name = "link_com"
     stage = Stage.BODY
     equation = "c_link += (dx, dy, dz)"
-    source = "models from CAD miss screws and cables; range chosen by us"
+    source = "CAD models omit screws and cables; range chosen by us"
     parameters = (
         Parameter("link_com_offset_x", "m", -0.02, 0.02, 0.0, 0.0, "forwards in the stand pose with straight legs"),
         Parameter("link_com_offset_y", "m", -0.02, 0.02, 0.0, 0.0, "to the left"),
@@ -103,7 +108,9 @@ class LinkCentreOfMass(Effect):
         for column, axis in enumerate("xyz")
     )
     secants = ({"link_com_offset_x": 0.005}, {"link_com_offset_y": 0.005}, {"link_com_offset_z": 0.005})
-    fingerprint = "in phase with gravity, turning with the pose, in all joints that carry the link"
+    fingerprint = "in phase with gravity, with a phase that turns with the pose, in all joints that carry the link"
     confounders = ("encoder_offset", "link_mass", "cable_spring", "current_offset")
-    separating_experiment = "turn the base: gravity turns, a spring does not; IMU against kinematics"
+    separating_experiment = (
+        "two orientations of the base, because gravity turns with it but a spring does not; IMU against kinematics"
+    )
     scopes = ("joint",)

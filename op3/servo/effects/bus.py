@@ -40,13 +40,13 @@ class PacketDrop(Effect):
     stage = Stage.TRANSPORT
     rank = -1
     equation = "u_k = u_{k-1} with probability p"
-    source = "half-duplex bus, checksum errors; range chosen by us"
+    source = "checksum errors on a half-duplex bus; range chosen by us"
     parameters = (Parameter("drop_probability", "-", 0.0, 0.1, 0.0, 0.0, "p", per_joint=False, least=0.0, most=1.0),)
     memory = ("held", "number")
     secants = ({"drop_probability": 0.05}, {"drop_probability": 0.2})
     fingerprint = "bursts one period long in all joints at once; more variance, the same mean"
     confounders = ("latency", "current_lag")
-    separating_experiment = "count gaps in the servos' tick registers"
+    separating_experiment = "gaps in the servos' tick registers, counted in a recording"
 
     seed: int = 0
     signal: Literal["target_current", "goal"] = "target_current"

@@ -52,7 +52,9 @@ class Latency(Effect):
     name = "latency"
     stage = Stage.TRANSPORT
     equation = "u(t) -> u(t - d)"
-    source = "a read and a write of twenty servos at 2 Mbit/s, 3 ms and more; range chosen by us, two control periods"
+    source = (
+        "one read and one write of twenty servos take 3 ms or more at 2 Mbit/s; range chosen by us: two control periods"
+    )
     parameters = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
@@ -61,10 +63,10 @@ class Latency(Effect):
     usual = {"command_latency": Usual(0.004, 0.0015, 0.004, 0.03, none=0.0013)}
     constants = ("steps", "steps_per_tick")
     secants = ({"command_latency": 0.001}, {"command_latency": -0.001}, {"command_latency": 0.004})
-    fingerprint = "proportional to the rate of the command; the same time shift at every frequency"
+    fingerprint = "proportional to the rate of change of the command; the same time shift at every frequency"
     confounders = ("current_lag", "velocity_filter", "packet_drop")
     separating_experiment = (
-        "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off; low and high gain"
+        "chirp of the command above 20 Hz at low and high gain: a delay has linear phase, a lag reduces the amplitude"
     )
     scopes = ("joint", "shared")
 
@@ -155,7 +157,7 @@ class PositionServo(Effect):
     secants = ({"controller_gain": 0.1}, {"derivative_gain": 0.005})
     fingerprint = "proportional to the position error, in the duty as well as in the torque"
     confounders = ("encoder_offset", "torque_constant", "minimum_duty")
-    separating_experiment = "read the duty register: two gains, a hold against a known weight"
+    separating_experiment = "readings of the duty register at two gains, while holding a known weight"
     scopes = ("joint", "shared")
 
     error_gain: float = 0.166
@@ -202,12 +204,14 @@ class MinimumDuty(Effect):
     )
     parameters = (
         Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
-        Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty over which the lift sets in, d1", least=1e-4),
+        Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty at which 63 % of d0 is added, d1", least=1e-4),
     )
     secants = ({"minimum_duty": 0.02, "minimum_duty_fade": 0.03}, {"minimum_duty": 0.02, "minimum_duty_fade": 0.15})
-    fingerprint = "constant with the sign of the duty near zero duty, zero at large duties"
+    fingerprint = (
+        "has the sign of the duty: rises from zero duty, is constant at larger duties, and vanishes at full duty"
+    )
     confounders = ("coulomb", "stribeck", "terminal_resistance")
-    separating_experiment = "small steps of the goal around rest at two bus voltages"
+    separating_experiment = "small steps of the goal from rest at two bus voltages"
     scopes = ("joint", "shared")
 
     @staticmethod

@@ -26,13 +26,13 @@ class TorqueConstant(Effect):
     equation = "Kt *= 1 + e"
     source = (
         "XM430-W350: 1.78 N m/A at stall against 2.49 V s/rad from its no-load speed at 12 V (ROBOTIS e-Manual); range"
-        " chosen by us, nearly the difference of these values"
+        " chosen by us, close to the difference of these values"
     )
     parameters = (Parameter("torque_constant_error", "-", -0.25, 0.25, 0.0, 0.0, "e, relative", least=-0.9),)
     secants = ({"torque_constant_error": 0.05},)
     fingerprint = "proportional to current, whether the motor drives or is driven"
     confounders = ("payload", "link_mass", "torque_constant_temperature", "dte")
-    separating_experiment = "a known added mass, or a force gauge at the foot"
+    separating_experiment = "recordings with a known added mass, or with a force gauge at the foot"
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         return scaled(values, "torque_constant", values["torque_constant_error"])
@@ -45,16 +45,16 @@ class TerminalResistance(Effect):
     name = "terminal_resistance"
     stage = Stage.DRIVER
     equation = "R *= (1 + e) (1 + a (T - 25 C))"
-    source = "copper: 0.00393 per K at 20 C (IEC 60028); range chosen by us, that with half as much again"
+    source = "copper: 0.00393 per K at 20 C (IEC 60028); range chosen by us: up to 1.5 times this value"
     parameters = (
         Parameter("terminal_resistance_error", "-", -0.3, 0.3, 0.0, 0.0, "e, relative", least=-0.9),
         Parameter("resistance_temperature_coefficient", "1/K", 0.0, 0.006, 0.0, 0.0, "a, per measured K", least=0.0),
     )
     reads = ("temperature",)
     secants = ({"terminal_resistance_error": 0.1}, {"resistance_temperature_coefficient": 0.004})
-    fingerprint = "only where the bus voltage limits the current, in the slope of current over speed"
+    fingerprint = "a changed slope of current over speed, only where the bus voltage limits the current"
     confounders = ("voltage_sag", "torque_constant", "minimum_duty")
-    separating_experiment = "saturation at two speeds and two bus voltages"
+    separating_experiment = "motion in voltage saturation at two speeds and two bus voltages"
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         return scaled(values, "terminal_resistance", values["terminal_resistance_error"])
@@ -109,7 +109,7 @@ class VoltageSag(Effect):
     secants = ({"supply_resistance": 0.1}, {"supply_resistance": 0.3})
     fingerprint = "only in saturation, and proportional to the currents of the other joints"
     confounders = ("terminal_resistance", "minimum_duty")
-    separating_experiment = "saturate one joint alone and all joints together; measured bus voltage"
+    separating_experiment = "saturation of one joint alone and of all joints together, with the measured bus voltage"
 
     time_constant: float = 0.002
     least_voltage: float = 1.0
@@ -161,7 +161,7 @@ class CurrentLag(Effect):
     )
     fingerprint = "measured current lags its command by a fraction of a sample, with smoothed edges"
     confounders = ("latency", "velocity_filter", "packet_drop")
-    separating_experiment = "chirp of the command above 20 Hz: a shift has linear phase, a lag rolls off"
+    separating_experiment = "chirp of the command above 20 Hz: a delay has linear phase, a lag reduces the amplitude"
     scopes = ("joint", "shared")
 
     signal: Literal["target_current", "voltage"] = "target_current"
@@ -209,14 +209,16 @@ class CurrentOffset(Effect):
     name = "current_offset"
     stage = Stage.DRIVER
     equation = "I_measured = I + o; regulated: I = I* - o"
-    source = "zero of a shunt's amplifier; range chosen by us, 19 counts of the XM430's 2.69 mA (ROBOTIS e-Manual)"
+    source = "zero of a shunt amplifier; range chosen by us: 19 counts of 2.69 mA of the XM430 (ROBOTIS e-Manual)"
     parameters = (Parameter("current_offset", "A", -0.05, 0.05, 0.0, 0.0, "o, reading without current"),)
     # op3's choice: about two counts of 2.69 mA (ROBOTIS e-Manual, XM430); no manufacturer states the zero
     usual = {"current_offset": Usual(0.0, 0.006, 0.01, 0.06, own=True)}
     secants = ({"current_offset": 0.01},)
     fingerprint = "a constant torque in all poses, in both directions and at rest"
     confounders = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")
-    separating_experiment = "turn the base: gravity turns, the offset stays; the reading with torque off"
+    separating_experiment = (
+        "two orientations of the base, because gravity turns with it but the offset does not; current with torque off"
+    )
 
     @staticmethod
     def apply(s, p):

@@ -51,7 +51,7 @@ class Stribeck(Effect):
     stage = Stage.FRICTION
     equation = "tau_fric += (fs - fc) exp(-|w| / w_static)"
     source = (
-        "paper eq. (4), the exponential corrected; range of fs - fc from Table I, of w_static by us; decays:"
+        "paper eq. (4) with corrected exponential; range of fs - fc from Table I, of w_static chosen by us; decays:"
         " Armstrong-Helouvry, Dupont & Canudas de Wit (1994)"
     )
     parameters = (
@@ -97,7 +97,7 @@ class Viscous(Effect):
     secants = ({"viscous_friction": 0.01},)
     fingerprint = "odd in velocity and proportional to it"
     confounders = ("quadratic_drag", "bearing_friction", "terminal_resistance", "torque_constant")
-    separating_experiment = "three speeds, one of them fast; two temperatures"
+    separating_experiment = "motion at three speeds, one of them high, and at two temperatures"
 
     @staticmethod
     def apply(s, p):
@@ -111,13 +111,15 @@ class BearingFriction(Effect):
     name = "bearing_friction"
     stage = Stage.FRICTION
     equation = "tau_fric += kb F_r |w|"
-    source = "our own: on Rhoban's servo bench damping grows with the weight carried; a range that holds what it fits"
+    source = (
+        "our own: on Rhoban's servo bench, damping grows with the weight carried; the range contains the fitted values"
+    )
     parameters = (Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),)
     reads = ("radial_force",)
     secants = ({"bearing_friction": 5e-5},)
     fingerprint = "odd in velocity, proportional to speed and to the carried weight"
     confounders = ("viscous", "quadratic_drag", "load_friction")
-    separating_experiment = "one speed at two loads"
+    separating_experiment = "motion at one speed with two loads"
 
     @staticmethod
     def apply(s, p):
@@ -139,7 +141,7 @@ class AsymmetricFriction(Effect):
     stage = Stage.FRICTION
     rank = 2  # the other frictions must be known first, because the bound cannot be negative
     equation = "tau_fric += sign(w) a / 2, not below 0"
-    source = "skewed teeth, worms and preloaded seals; range chosen by us, about that of Coulomb friction"
+    source = "skewed teeth, worms and preloaded seals; range chosen by us, similar to that of Coulomb friction"
     parameters = (
         Parameter("asymmetric_friction", "N m", -0.15, 0.15, 0.0, 0.0, "a, friction for w > 0 minus that for w < 0"),
     )
@@ -164,12 +166,14 @@ class QuadraticDrag(Effect):
     name = "quadratic_drag"
     stage = Stage.FRICTION
     equation = "tau_fric += c w^2"
-    source = "churning loss of a gear box; range chosen by us: at 3 rad/s as much as Coulomb friction"
+    source = (
+        "churning loss of a gear box; range chosen by us: at 3 rad/s, its upper end equals that of Coulomb friction"
+    )
     parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
     secants = ({"quadratic_drag": 0.005},)
     fingerprint = "odd in velocity and growing faster than linearly"
     confounders = ("viscous", "stribeck", "bearing_friction")
-    separating_experiment = "three speeds, one of them fast"
+    separating_experiment = "motion at three speeds, one of them high"
 
     @staticmethod
     def apply(s, p):

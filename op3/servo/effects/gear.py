@@ -30,14 +30,14 @@ class DirectionalEfficiency(Effect):
     stage = Stage.GEAR
     equation = "tau_loss = (1 - eta_fw) |tau_m| if the motor drives, (1 - eta_bw) |tau_a| if the load drives"
     source = (
-        "paper eq. (3), its second condition corrected; ranges from Table I;"
+        "paper eq. (3) with corrected second condition; ranges from Table I;"
         " form `power`: Pelchen, Schweiger & Otter (2002)"
     )
     parameters = (
         Parameter(
-            "forward_efficiency", "-", 0.6, 1.0, 1.0, 1.0, "of the motor's torque", least=0.0, most=1.0, searched=False
+            "forward_efficiency", "-", 0.6, 1.0, 1.0, 1.0, "eta_fw, motor drives", least=0.0, most=1.0, searched=False
         ),
-        Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "of the load's torque", least=0.0, most=1.0),
+        Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "eta_bw, load drives", least=0.0, most=1.0),
     )
     secants = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
     fingerprint = (
@@ -45,8 +45,8 @@ class DirectionalEfficiency(Effect):
     )
     confounders = ("load_friction", "directional_friction", "antagonistic_friction", "torque_constant", "payload")
     separating_experiment = (
-        "hold test: creep the load up and down at rest; the hysteresis of the current grows with load for "
-        "friction; two loads"
+        "hold test with two loads, slowly raised and lowered: with load friction, the hysteresis of the current "
+        "grows with the load"
     )
 
     form: Literal["passive", "printed", "power"] = "passive"
@@ -86,7 +86,7 @@ class MixedLubrication(Effect):
     rank = 1  # after the loss has been computed
     equation = "tau_loss *= 1 + b exp(-|w| / w_b)"
     source = (
-        "after Pelchen, Schweiger & Otter (2002), mesh efficiency over speed, and Duclusaud et al. (2025), model M4,"
+        "Pelchen, Schweiger & Otter (2002), mesh efficiency over speed; Duclusaud et al. (2025), model M4,"
         " whose velocities are searched from 0.1 to 3 rad/s"
     )
     parameters = (
@@ -100,7 +100,7 @@ class MixedLubrication(Effect):
         "near_rest_loss": Usual(0.0, 1.0, 0.4, 3.0),
         "lubrication_velocity": Usual(0.5, 1.0, 0.5, 3.0, least=0.03),
     }
-    fingerprint = "odd in velocity and proportional to the load where the load drives, only at low speed"
+    fingerprint = "only at low speed: odd in velocity and, where the load drives, proportional to the load"
     confounders = ("dte", "load_friction", "stribeck")
     separating_experiment = "slow sweeps at 0.02, 0.05, 0.1 and 0.5 rad/s at two loads"
 

@@ -22,9 +22,9 @@ class FootFriction(Effect):
     )
     edits = (ModelEdit("geom_friction", "ground_geom", "scale", "foot_friction_error", column=0),)
     secants = ({"foot_friction_error": -0.2}, {"foot_friction_error": -0.5})
-    fingerprint = "only in stance, as slip: the foot's pose drifts"
+    fingerprint = "only in stance: the foot slips, so its pose drifts"
     confounders = ("foot_compliance", "ground_tilt")
-    separating_experiment = "pull a foot over the floor with a spring balance"
+    separating_experiment = "force at which a foot slides over the floor, measured with a spring balance"
 
 
 @register
@@ -34,13 +34,13 @@ class FootCompliance(Effect):
     name = "foot_compliance"
     stage = Stage.GROUND
     equation = "T_contact += dT"
-    source = "MuJoCo solref, 20 ms by default; stiffness falls with its square; range chosen by us"
+    source = "MuJoCo solref, 20 ms by default; contact stiffness falls with its square; range chosen by us"
     parameters = (Parameter("contact_time_added", "s", 0.0, 0.02, 0.0, 0.0, "dT", per_joint=False, least=0.0),)
     edits = (ModelEdit("geom_solref", "ground_geom", "add", "contact_time_added", column=0),)
     secants = ({"contact_time_added": 0.004}, {"contact_time_added": 0.012})
-    fingerprint = "only in stance: peak of the impact and settling"
+    fingerprint = "only in stance: a changed impact peak and settling time"
     confounders = ("compliance", "latency", "foot_friction")
-    separating_experiment = "drop the robot by a centimetre with its legs held"
+    separating_experiment = "drop of the robot by one centimetre with its legs held rigid"
 
 
 @register
@@ -54,10 +54,10 @@ class GroundTilt(Effect):
     name = "ground_tilt"
     stage = Stage.GROUND
     equation = "g = R_floor' g_0, R_measured = R_floor R"
-    source = "rigid motion; floors of up to 3 degrees, chosen by us"
+    source = "rigid motion; range of 3 degrees chosen by us"
     parameters = (
         Parameter("ground_roll", "rad", -0.05, 0.05, 0.0, 0.0, "about the x axis of the scene", per_joint=False),
-        Parameter("ground_pitch", "rad", -0.05, 0.05, 0.0, 0.0, "about its y axis", per_joint=False),
+        Parameter("ground_pitch", "rad", -0.05, 0.05, 0.0, 0.0, "about the y axis of the scene", per_joint=False),
     )
     edits = (
         ModelEdit("opt.gravity", "option", "turn", "ground_pitch", column=1),
@@ -66,7 +66,7 @@ class GroundTilt(Effect):
     secants = ({"ground_roll": 0.02}, {"ground_pitch": 0.02})
     fingerprint = "a bias of roll, pitch and all gravity torques, only on this floor"
     confounders = ("imu_mount", "com_offset", "left_right_asymmetry", "encoder_offset")
-    separating_experiment = "turn the robot by 180 degrees about the vertical"
+    separating_experiment = "recordings before and after turning the robot by 180 degrees about the vertical"
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         floor = product(about(1, values["ground_pitch"]), about(0, values["ground_roll"]))

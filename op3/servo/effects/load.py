@@ -38,19 +38,20 @@ class LoadFriction(Effect):
     written = {"form": ("sum", "motor")}
     stage = Stage.LOAD
     equation = (
-        "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: 2 |tau_m| in place of the"
+        "tau_fric += (l + s ls) |tau_m - tau_a|, s = exp(-|w| / w_static); form `motor`: 2 |tau_m| instead of the"
         " difference"
     )
     source = f"{SOURCE}, models M3 and M4"
     parameters = (
-        Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per torque passed on, l", least=0.0),
+        Parameter("load_friction", "-", 0.0, 0.9, 0.1, 0.0, "friction per transmitted torque, l", least=0.0),
         Parameter("load_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "additional friction near rest, ls", least=0.0),
     )
     secants = ({"load_friction": 0.05}, {"load_friction": 0.2})
     fingerprint = "odd in velocity; the width of the hysteresis loop grows in proportion to the load"
     confounders = ("dte", "directional_friction", "antagonistic_friction", "torque_constant")
     separating_experiment = (
-        "hold test at two loads: the torque constant moves the centre of the loop, friction its width"
+        "hold test with two loads: the torque constant moves the centre of the hysteresis loop, friction changes its"
+        " width"
     )
 
     form: Literal["sum", "motor"] = "sum"
@@ -75,16 +76,14 @@ class DirectionalFriction(Effect):
     parameters = (
         Parameter("motor_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the motor's torque, lm", least=0.0),
         Parameter("external_friction", "-", 0.0, 0.9, 0.1, 0.0, "share of the load's torque, le", least=0.0),
-        Parameter("motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "of the motor's torque near rest, lms", least=0.0),
-        Parameter(
-            "external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "of the load's torque near rest, les", least=0.0
-        ),
+        Parameter("motor_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "motor's share near rest, lms", least=0.0),
+        Parameter("external_friction_excess", "-", 0.0, 1.0, 0.0, 0.0, "load's share near rest, les", least=0.0),
     )
     # a share of the motor's torque alone is `load_friction` of the form `motor`
     secants = ({"external_friction": 0.1},)
-    fingerprint = "odd in velocity; one width of the loop if the motor drives, another if the load drives"
+    fingerprint = "odd in velocity; the width of the hysteresis loop depends on whether the motor or the load drives"
     confounders = ("dte", "load_friction", "antagonistic_friction")
-    separating_experiment = "hold test at two loads, raising and lowering; motion with the torque off"
+    separating_experiment = "hold test with two loads, raised and lowered; motion with the torque off"
 
     @staticmethod
     def apply(s, p):
@@ -112,7 +111,7 @@ class AntagonisticFriction(Effect):
     secants = ({"external_square": 0.2}, {"motor_square": 0.2})
     fingerprint = "only near rest; grows with the square of the weaker torque where motor and load oppose each other"
     confounders = ("dte", "load_friction", "directional_friction", "stribeck")
-    separating_experiment = "hold test at three loads: the width of the hysteresis bends with load"
+    separating_experiment = "hold test with three loads: the width of the hysteresis is not linear in the load"
 
     @staticmethod
     def apply(s, p):

@@ -12,7 +12,9 @@ class Cogging(Effect):
     name = "cogging"
     stage = Stage.GEAR
     equation = "tau += A sin(n q + phi)"
-    source = "gear mesh, n teeth of the last stages; ranges chosen by us; the rotor's own cogging is too fast for a log"
+    source = (
+        "gear mesh with n teeth in the last stages; ranges chosen by us; cogging of the rotor is too fast for a log"
+    )
     parameters = (
         Parameter("cogging_amplitude", "N m", -0.05, 0.05, 0.0, 0.0, "A, at the joint"),
         Parameter("cogging_phase", "rad", -pi, pi, 0.0, None, "phi"),
@@ -23,9 +25,9 @@ class Cogging(Effect):
         for periods in (12.0, 24.0, 36.0, 48.0)
         for phase in (0.0, pi / 2)
     )
-    fingerprint = "a narrow line in the spectrum over position, which moves with speed in time"
+    fingerprint = "a narrow line in the spectrum over position; over time, its frequency is proportional to the speed"
     confounders = ("position_friction", "encoder_nonlinearity", "stribeck")
-    separating_experiment = "slow sweeps at two speeds: a ripple keeps its place in angle"
+    separating_experiment = "slow sweeps at two speeds: a ripple stays at the same angles"
     scopes = ("joint",)
 
     @staticmethod
@@ -49,7 +51,9 @@ class CableSpring(Effect):
     secants = tuple({"cable_stiffness": 0.05, "cable_rest_angle": angle} for angle in (-1.0, 0.0, 1.0))
     fingerprint = "a function of the angle, the same in both directions and at all orientations of the robot"
     confounders = ("link_com", "com_offset", "encoder_offset", "current_offset")
-    separating_experiment = "turn the base by a quarter: gravity turns, a spring does not"
+    separating_experiment = (
+        "two orientations of the base, 90 degrees apart, because gravity turns with it but a spring does not"
+    )
     scopes = ("joint", "side")
 
     @staticmethod
@@ -84,7 +88,7 @@ class PositionFriction(Effect):
     )
     fingerprint = "odd in velocity; the width of the hysteresis loop changes with the angle"
     confounders = ("coulomb", "load_friction", "dte", "cogging")
-    separating_experiment = "slow sweep over the whole range at two loads or two orientations of the base"
+    separating_experiment = "slow sweep over the whole range with two loads or in two orientations of the base"
     scopes = ("joint",)
 
     periods: float = 1.0

@@ -38,8 +38,8 @@ class LuGre(Effect):
     stage = Stage.TRANSMISSION
     equation = "tau_fric = z / s + sigma_1 dz/dt, dz/dt = w - |w| z / (s F), sigma_1 = 2 zeta sqrt(Ja / s)"
     source = (
-        "Canudas de Wit, Olsson, Astrom & Lischinsky (1995), sigma_0 = 1 / s; F from the other effects, viscous"
-        " friction too; range of s and damping chosen by us"
+        "Canudas de Wit, Olsson, Astrom & Lischinsky (1995), sigma_0 = 1 / s; F from the other effects, including"
+        " viscous friction; ranges of s and damping chosen by us"
     )
     parameters = (Parameter("bristle_compliance", "rad/(N m)", 0.0, 0.05, 0.0, 0.0, "s", least=0.0),)
     # our own choice, 1 / (330 N m/rad): friction of 0.1 N m grips within 0.3 mrad, a fifth of an encoder's count

@@ -20,9 +20,13 @@ class EncoderOffset(Effect):
     source = "homing of a servo horn; -0.126 rad fits the STS3032 on Rhoban's servo bench"
     parameters = (Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),)
     secants = ({"encoder_offset": 0.01},)
-    fingerprint = "a constant angle: gravity has another phase; foot pose and IMU disagree with the joint angles"
+    fingerprint = (
+        "a constant angle: the gravity torque has a shifted phase; foot pose and IMU disagree with the joint angles"
+    )
     confounders = ("link_com", "com_offset", "cable_spring", "current_offset", "encoder_nonlinearity")
-    separating_experiment = "turn the base: gravity terms turn with it; compare the IMU with forward kinematics"
+    separating_experiment = (
+        "two orientations of the base, because gravity turns with it; IMU against forward kinematics"
+    )
 
     @staticmethod
     def sense(s, p):
@@ -54,7 +58,7 @@ class EncoderNonlinearity(Effect):
         {"encoder_nonlinearity": 0.01, "encoder_nonlinearity_phase": 0.0},
         {"encoder_nonlinearity": 0.01, "encoder_nonlinearity_phase": pi / 2},
     )
-    fingerprint = "an error of the angle that repeats every turn; IMU against kinematics over the angle"
+    fingerprint = "an angle error that repeats every turn and appears between IMU and kinematics"
     confounders = ("encoder_offset", "link_com", "cable_spring", "cogging")
     separating_experiment = "slow sweep over the whole range, IMU against forward kinematics"
     scopes = ("joint",)
@@ -99,13 +103,12 @@ class VelocityFilter(Effect):
     secants = ({"velocity_time_constant": 0.002}, {"velocity_time_constant": 0.008})
     fingerprint = "reported velocity lags the derivative of the reported angle; no torque beyond Kd"
     confounders = ("latency", "current_lag", "terminal_resistance")
-    separating_experiment = "compare reported velocity with the derivative of the angle"
+    separating_experiment = "fast motion: reported velocity against the derivative of the angle"
     scopes = ("joint", "shared")
 
     @staticmethod
     def prepare(p):
-        """Lag in steps, and the share of a deviation, and of its slope times Tw, that remains after a step: a matrix
-        exponential."""
+        """Lag in steps, and the matrix exponential that advances a deviation, and its slope times Tw, by a step."""
         passed, shape = lags_per_step(p.velocity_time_constant, p.timestep), max(p.velocity_filter_shape, 1e-6)
         p.velocity_filter_lag = p.velocity_time_constant / p.timestep
         if 1.0 - 4.0 * shape > 1e-8:

@@ -47,7 +47,7 @@ def between(p):
 
 @part
 def rotor_angle(p, position, load_torque):
-    """Angle of the rotor [rad] at rest: on the flank that carries the load tau_a [N m], the spring bent by it."""
+    """Angle of the rotor [rad] at rest: on the flank that carries the load tau_a [N m], with the spring deflected."""
     return position - np.sign(load_torque) * p.backlash_half_gap - load_torque / p.backlash_stiffness
 
 
@@ -72,13 +72,33 @@ class Backlash(Effect):
     rank = 1
     equation = "tau = K dz(q_rotor - q, delta), dz(x, delta) = sign(x) max(|x| - delta, 0)"
     source = (
-        "X series: 15 arcmin in all, delta = 2.2 mrad when new, MX 20 arcmin (ROBOTIS e-Manual); Feetech STS 0.5"
+        "X series: 15 arcmin in total, so delta = 2.2 mrad when new; MX: 20 arcmin (ROBOTIS e-Manual); Feetech STS: 0.5"
         " degrees at most; stiffness and inertia chosen by us"
     )
     parameters = (
         Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the backlash", least=0.0),
-        Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth", least=1.0, searched=False),
-        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after backlash", least=0.0, searched=False),
+        Parameter(
+            "contact_stiffness",
+            "N m/rad",
+            100.0,
+            500.0,
+            300.0,
+            None,
+            "K, of teeth in contact",
+            least=1.0,
+            searched=False,
+        ),
+        Parameter(
+            "output_inertia",
+            "kg m2",
+            0.0,
+            0.001,
+            0.0,
+            None,
+            "J_o, inertia after the backlash",
+            least=0.0,
+            searched=False,
+        ),
     )
     constants = ("stiffness", "friction")
     stiff = True
@@ -88,10 +108,11 @@ class Backlash(Effect):
     )
     fingerprint = (
         "after a sign change of the transmitted torque: free flight, a jump of velocity, ringing at 20 to 60 Hz; none"
+        " of these"
         " while the torque keeps its sign"
     )
     confounders = ("stribeck", "lugre", "compliance", "latency")
-    separating_experiment = "hold two loads of opposite sign: a step of the angle by the backlash"
+    separating_experiment = "holding two loads of opposite sign: the angle differs by the backlash"
 
     damping_ratio: float = 0.04
 
@@ -194,10 +215,14 @@ class Compliance(Effect):
     stage = Stage.TRANSMISSION
     rank = 1
     equation = "tau = (q_rotor - q) / c"
-    source = "spring and damper between rotor and link; from 50 N m/rad on, loss factor 0.08, chosen by us"
+    source = (
+        "spring and damper between rotor and link; stiffness of at least 50 N m/rad and loss factor 0.08, chosen by us"
+    )
     parameters = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
-        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after the spring", least=0.0, searched=False),
+        Parameter(
+            "wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, inertia after the spring", least=0.0, searched=False
+        ),
     )
     acts_in = "backlash"
     stiff = True
@@ -207,8 +232,10 @@ class Compliance(Effect):
         {"gear_compliance": 0.008, "wheel_inertia": 0.0008},
         {"gear_compliance": 0.015, "wheel_inertia": 0.0005},
     )
-    fingerprint = "an extra resonance at sqrt(1 / (c J)); IMU against kinematics in proportion to load"
+    fingerprint = (
+        "an extra resonance at sqrt(1 / (c J)); an angle error between IMU and kinematics in proportion to the load"
+    )
     confounders = ("backlash", "lugre", "current_lag", "link_inertia")
-    separating_experiment = "static ladder of loads with IMU or camera; chirp up to the resonance"
+    separating_experiment = "increasing static loads, with an IMU or a camera; chirp up to the resonance"
 
     damping_ratio: float = 0.04

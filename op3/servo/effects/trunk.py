@@ -17,16 +17,18 @@ class ImuMount(Effect):
     free_base = True
     stage = Stage.SENSING
     equation = "R_measured = R R_imu, w_measured = R_imu' w"
-    source = "rigid motion; a board on two screws, up to 3 degrees, chosen by us"
+    source = "rigid motion of a board on two screws; range of 3 degrees chosen by us"
     parameters = (
-        Parameter("imu_roll", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's x axis, forwards", per_joint=False),
-        Parameter("imu_pitch", "rad", -0.06, 0.06, 0.0, 0.0, "about its y axis, to the left", per_joint=False),
-        Parameter("imu_yaw", "rad", -0.06, 0.06, 0.0, 0.0, "about its z axis, upwards", per_joint=False),
+        Parameter("imu_roll", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's x axis (forwards)", per_joint=False),
+        Parameter("imu_pitch", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's y axis (left)", per_joint=False),
+        Parameter("imu_yaw", "rad", -0.06, 0.06, 0.0, 0.0, "about the trunk's z axis (upwards)", per_joint=False),
     )
     secants = ({"imu_roll": 0.02}, {"imu_pitch": 0.02}, {"imu_yaw": 0.02})
-    fingerprint = "a constant error of the direction of gravity in all poses; rates leak across axes"
+    fingerprint = "a constant error of the direction of gravity in all poses; rates appear on other axes"
     confounders = ("ground_tilt", "left_right_asymmetry", "com_offset", "gyro_bias")
-    separating_experiment = "turn the robot by 180 degrees on the spot: a tilted floor changes sign"
+    separating_experiment = (
+        "recordings before and after turning the robot by 180 degrees on the spot: a tilt of the floor changes its sign"
+    )
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
@@ -44,16 +46,16 @@ class GyroBias(Effect):
     stage = Stage.SENSING
     rank = 1
     equation = "w_measured = w + b"
-    source = "MEMS gyroscope before calibration; range chosen by us, 2 degrees/s"
+    source = "MEMS gyroscope before calibration; range of 2 degrees/s chosen by us"
     parameters = (
         Parameter("gyro_bias_x", "rad/s", -0.035, 0.035, 0.0, 0.0, "forwards", per_joint=False),
         Parameter("gyro_bias_y", "rad/s", -0.035, 0.035, 0.0, 0.0, "to the left", per_joint=False),
         Parameter("gyro_bias_z", "rad/s", -0.035, 0.035, 0.0, 0.0, "upwards", per_joint=False),
     )
     secants = ({"gyro_bias_x": 0.01}, {"gyro_bias_y": 0.01}, {"gyro_bias_z": 0.01})
-    fingerprint = "a constant rate, at rest as well; no torque"
+    fingerprint = "a constant rate, even at rest; no torque"
     confounders = ("imu_mount",)
-    separating_experiment = "read the gyroscope at rest"
+    separating_experiment = "gyroscope readings at rest"
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         bias = torch.cat([values[f"gyro_bias_{axis}"] for axis in "xyz"], -1)

@@ -21,11 +21,11 @@ class FrictionDrift(Effect):
     rank = 1
     equation = "tau_fric -= c (1 - exp(-t / T)) (fc + kv |w|)"
     source = (
-        "friction of robot joints falls with temperature (Bittencourt, Wernholt et al. 2010); time in its place, and"
-        " the ranges, are our own"
+        "friction of robot joints falls with temperature (Bittencourt, Wernholt et al. 2010); the dependence on"
+        " time instead, and the ranges, are our own"
     )
     parameters = (
-        Parameter("friction_drift", "-", -0.6, 0.6, 0.0, 0.0, "c, share of the friction that is lost", most=1.0),
+        Parameter("friction_drift", "-", -0.6, 0.6, 0.0, 0.0, "c, share of friction lost when warm", most=1.0),
         Parameter("friction_drift_time", "s", 30.0, 600.0, 180.0, None, "T", least=1e-3),
     )
     reads = ("time",)
@@ -35,7 +35,7 @@ class FrictionDrift(Effect):
     )
     fingerprint = "odd in velocity, changing slowly within and across runs with time since the start"
     confounders = ("torque_constant_temperature", "coulomb", "viscous")
-    separating_experiment = "the same slow triangle cold, after 5 and after 15 minutes"
+    separating_experiment = "the same slow triangle when cold, after 5 minutes and after 15 minutes"
     scopes = ("joint", "shared")
 
     @staticmethod
@@ -66,7 +66,7 @@ class LeftRightAsymmetry(Effect):
     secants = ({"friction_asymmetry": 0.15}, {"torque_asymmetry": 0.05})
     fingerprint = "mirrored motions leave different residuals whose sum is zero"
     confounders = ("imu_mount", "ground_tilt", "coulomb", "torque_constant")
-    separating_experiment = "mirrored motions, and the robot turned by 180 degrees on the spot"
+    separating_experiment = "mirrored motions, before and after turning the robot by 180 degrees on the spot"
 
     def adjust(self, values: Mapping[str, Tensor], sides: Tensor) -> Mapping[str, Tensor]:
         sides = sides.to(values["friction_asymmetry"])  # the precision is that of the parameters
