@@ -111,9 +111,12 @@ def tracks_of(cfg: DictConfig) -> Tracks:
             return of_policy(cfg, policy)
     if (path / SHOWN).is_dir():
         return of_diagnosis(path)
-    if path.is_file() and path.suffix in (".yaml", ".yml") and read_yaml(path).get("format") == ROBOT_FORMAT:
+    is_yaml = path.suffix in (".yaml", ".yml")
+    if path.suffix in (".xml", ".urdf") or (
+        is_yaml and path.is_file() and read_yaml(path).get("format") == ROBOT_FORMAT
+    ):
         return of_robot(cfg)
-    is_model = path.suffix in (".yaml", ".yml") or not path.exists() or (path / "model.yaml").is_file()
+    is_model = is_yaml or not path.exists() or (path / "model.yaml").is_file()
     return of_model(cfg) if is_model else of_log(cfg)
 
 
