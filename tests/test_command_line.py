@@ -209,11 +209,9 @@ def test_the_folder_of_another_command_is_not_written_over(op3, tmp_path):
     record = tmp_path / "run" / ".hydra" / "hydra.yaml"
     record.parent.mkdir(parents=True)
     record.write_text("hydra:\n  job:\n    name: identify\n")
-    code, said = op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path)
-    assert (code, said) == (
-        1,
-        "hydra.run.dir is the folder of a run of identify, which would be overwritten: choose another",
-    )
+    refused = (1, "run is the folder of a run of identify, which would be overwritten: choose another hydra.run.dir")
+    assert op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path) == refused
+    assert op3("predict", "-m", "data=x", "hydra.run.dir=run", cwd=tmp_path) == refused
     assert op3("identify", "data=x", "hydra.run.dir=run", cwd=tmp_path)[1].startswith("data=x: there is no such file")
     assert record.read_text() == "hydra:\n  job:\n    name: identify\n"
 

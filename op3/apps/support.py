@@ -38,10 +38,11 @@ def check_same(path: Path, asked: Mapping[str, Any]) -> None:
     if not path.exists():
         return
     before, asked = yaml.safe_load(path.read_text(encoding="utf-8")), scrub(dict(asked))
-    names = [name for name in {**before, **asked} if before.get(name) != asked.get(name)]
-    if names:
-        was, now = ({name: each.get(name) for name in names} for each in (before, asked))
-        raise ValueError(f"{path.parent} was started with {was}, not {now}; choose another hydra.run.dir")
+    both = {name: [each.get(name, "unset") for each in (before, asked)] for name in {**before, **asked}}
+    if differing := [f"{name}: {was} -> {now}" for name, (was, now) in both.items() if was != now]:
+        raise ValueError(
+            f"{path.parent} was started with other settings ({', '.join(differing)}); choose another hydra.run.dir"
+        )
 
 
 def remember(path: Path, asked: Mapping[str, Any]) -> None:
