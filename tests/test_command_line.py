@@ -121,6 +121,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         ),
         (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
+        (["predict", "model=", "data=x"], "model is empty: give a model.yaml or a name in assets/models"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),
         (["import", "runs/8 (2).csv"], "data=runs/8 (2).csv: there is no such file or folder"),
         (["predict", "wandb=maybe", "data=x"], "wandb=maybe: there is no 'maybe' in the group wandb; there are"),

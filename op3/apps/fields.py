@@ -125,6 +125,8 @@ def check(cfg: DictConfig) -> None:
         ValueError: one sentence that names the field and its valid values.
         FileNotFoundError: if the model is neither a file nor a name.
     """
+    for name in (name for name in REQUIRED if not OmegaConf.is_missing(cfg, name) and cfg.get(name) == ""):
+        raise ValueError(f"{name} is empty: give {REQUIRED[name]}")
     Common.of(cfg)
     if "wandb" in cfg:
         WandbSettings.of(plain(cfg.wandb))

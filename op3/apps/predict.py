@@ -74,7 +74,8 @@ def main(cfg: DictConfig) -> Predicted:
     score = predict_logs(
         model_for(logs[0].robot, cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
     )
-    path = Path(f"{logs[0].robot.name}'s data sheets") if cfg.model is None else find_model(cfg.model)
+    chosen = cfg.model or logs[0].robot.file.law
+    path = find_model(chosen) if chosen else Path(f"{logs[0].robot.name}'s data sheets")
     values = report_prediction(
         score,
         run_folder(cfg),
