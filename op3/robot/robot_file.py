@@ -157,6 +157,7 @@ class RobotFile(Record):
         parameters: parameters of the model that differ between robots, by name.
     """
 
+    split_from = {"unpowered": "joints"}
     format: Literal["op3-robot/1"]
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")
     model: str
@@ -187,7 +188,7 @@ class RobotFile(Record):
             joints = {name: {} if entry is None else entry for name, entry in joints.items()}
             free = {n: e for n, e in joints.items() if isinstance(e, dict) and Unpowered.model_fields.keys() & e.keys()}
             driven = {name: entry for name, entry in joints.items() if name not in free}
-            values = {**values, "joints": driven, "unpowered": {**(values.get("unpowered") or {}), **free}}
+            values = {**values, "joints": driven, "unpowered": free}
         return values
 
 
