@@ -20,10 +20,10 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.compose import configured
-from op3.apps.current_run import output_folder, reported, run_folder
+from op3.apps.current_run import output_folder, reported
 from op3.apps.fields import plain
 from op3.apps.job import goes_on
-from op3.apps.support import focus_joints, logs_where
+from op3.apps.support import focus_joints, logs_where, run_folder
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import chosen_model

@@ -277,9 +277,8 @@ class Robot:
         model, data = self.bare_model, mujoco.MjData(self.bare_model)
         data.qpos[:] = self.configuration(joint_position)
         mujoco.mj_forward(model, data)
-        torque = np.zeros(len(self.joints))
         by_name = {model.joint(number).name: data.qfrc_bias[model.jnt_dofadr[number]] for number in range(model.njnt)}
-        torque += [by_name[name] for name in self.joints]
+        torque = np.array([by_name[name] for name in self.joints])
         for name, (driver, ratio, _) in self.followed.items():
             if driver is not None:
                 torque[self._index[driver]] += ratio * by_name[name]

@@ -5,9 +5,9 @@ import pytest
 
 from op3.motions import Motion, hold, squat, staircase
 from op3.motions.op3_motions import SQUAT_LEAN
-from op3.robot import pose, sole_corners
+from op3.robot import pose
 from op3.robot.kinematics import minimum_jerk, rotation_matrix, sole_normals
-from tests.op3_table import JOINTS, SOFT_LIMITS, center_of_mass, indices, mirror
+from tests.op3_table import JOINTS, SOFT_LIMITS, center_of_mass, indices, mirror, sole_corners
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 
@@ -42,7 +42,7 @@ def test_squat_is_flat_and_balanced(motion):
         normals = sole_normals(position, "op3") @ world.T
         tilt = np.arctan2(np.linalg.norm(normals[:, :2], axis=1), normals[:, 2])
         assert tilt.max() < 1e-6
-        corners = sole_corners(position, "op3") @ world.T
+        corners = sole_corners(position) @ world.T
         com = world @ center_of_mass(position)
         assert np.ptp(corners[..., 2].min(axis=1)) < 1e-9
         assert abs(com[0] - corners[..., 0].mean()) < 0.02
