@@ -15,7 +15,7 @@ class CommandResult:
         headline: the result in a sentence or two, with units.
         numbers: all numbers by dotted key, as in ``result.yaml``.
         objective: number that a sweep of the command optimises.
-        files: files whose paths the command prints; None: the page, the numbers and the model, if they exist.
+        files: files whose paths the command prints; None: the page and the numbers, if they exist.
         following: the next command, printed last; empty if there is none.
     """
 
@@ -31,7 +31,7 @@ class CommandResult:
         key_numbers = [f"  {line}" for line in self.numbers.get("key_numbers", ())]
         files = self.files
         if files is None:
-            usual = (self.folder / name for name in ("index.html", "result.yaml", "model.yaml"))
+            usual = (self.folder / name for name in ("index.html", "result.yaml"))
             files = tuple(path for path in usual if path.is_file())
         following = [f"next: {self.following}"] if self.following else []
         return "\n".join([self.headline, *key_numbers, *map(str, files), *following])

@@ -197,7 +197,7 @@ def main(cfg: DictConfig) -> Any:
             ablated_seconds=ablated_seconds,
             joints=identification.joints,
         )
-        following = f"op3 predict {shlex.quote(f'model={folder}')} data=<other logs>"
+        following = f"op3 predict {shlex.quote(f'model={folder}/model.yaml')} data=<other logs>"
         return reported(Identified, values, model=fit.model, following=following)
 
     return sweep_or_report(cfg, identification.evaluate, report, identity=identification.identity)
