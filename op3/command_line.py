@@ -101,13 +101,15 @@ def _launch(app: str, module: str) -> None:
     parser.parse_args(sys.argv[1:])
     if empty := next((word for word in sys.argv[1:] if word.endswith(".dir=")), None):
         end(f"{empty} is empty: give a folder, or omit this setting")
-    sys.argv[1:] = [hide(quoted(argument)) for argument in sys.argv[1:]]
+    kind = _kind(app, sys.argv[1:])
+    # Hydra ignores the folder of the other kind
+    words = [re.sub(r"^(\+*hydra)\.(run|sweep)\.dir=", rf"\1.{kind}.dir=", word) for word in sys.argv[1:]]
+    sys.argv[1:] = [hide(quoted(word)) for word in words]
     # Hydra's own handler prints a wall of text; with this it lets errors through
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
-    kind = _kind(app, sys.argv[1:])
     asked = _asked_folder(app, kind, sys.argv[1:])
     if asked is not None and (other := taken(asked)) not in (None, app):
-        end(f"hydra.{kind}.dir is the folder of a run of {other}, which would be overwritten: choose another folder")
+        end(f"{asked} is the folder of a run of {other}, which would be overwritten: choose another hydra.run.dir")
     missing = 0 if asked is None else sum(not place.exists() for place in (asked, *asked.parents))
     folder = None
     with record_kept(asked):
@@ -202,7 +204,7 @@ def taken(folder: Path) -> str | None:
 
 def _asked_folder(config: str, kind: str, arguments: Sequence[str]) -> Path | None:
     """The folder that the overrides name, otherwise the config's folder if it is constant."""
-    found = [re.match(r"\+*hydra\.(?:run|sweep)\.dir=(.+)", word) for word in arguments]
+    found = [re.match(rf"\+*hydra\.{kind}\.dir=(.+)", word) for word in arguments]
     found.append(re.search(rf"^  {kind}:\n    dir: (outputs/\w+)$", _text(config), re.MULTILINE))
     return next((Path(one[1].strip("'\"")) for one in found if one), None)
 

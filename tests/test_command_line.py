@@ -124,6 +124,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         ),
         (["predict", "data=x", "joints=r_knee"], "joints must be a list, got 'r_knee'"),
         (["identify", "groups=[motr]"], "groups=motr: there is no 'motr' in the group groups; the nearest is 'motor'"),
+        (["predict", "model=", "data=x"], "model is empty: give a model.yaml or a name in assets/models"),
         (["import"], "data is missing: add data=<a log, a folder of logs, or a list of them>"),
         (["import", "runs/8 (2).csv"], "data=runs/8 (2).csv: there is no such file or folder"),
         (["predict", "wandb=maybe", "data=x"], "wandb=maybe: there is no 'maybe' in the group wandb; there are"),
@@ -212,11 +213,9 @@ def test_the_folder_of_another_command_is_not_written_over(op3, tmp_path):
     record = tmp_path / "run" / ".hydra" / "hydra.yaml"
     record.parent.mkdir(parents=True)
     record.write_text("hydra:\n  job:\n    name: identify\n")
-    code, said = op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path)
-    assert (code, said) == (
-        1,
-        "hydra.run.dir is the folder of a run of identify, which would be overwritten: choose another folder",
-    )
+    refused = (1, "run is the folder of a run of identify, which would be overwritten: choose another hydra.run.dir")
+    assert op3("predict", "data=x", "hydra.run.dir=run", cwd=tmp_path) == refused
+    assert op3("predict", "-m", "data=x", "hydra.run.dir=run", cwd=tmp_path) == refused
     assert op3("identify", "data=x", "hydra.run.dir=run", cwd=tmp_path)[1].startswith("data=x: there is no such file")
     assert record.read_text() == "hydra:\n  job:\n    name: identify\n"
 

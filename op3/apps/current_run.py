@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
@@ -16,9 +16,6 @@ from op3.apps.fields import plain
 from op3.common.assets import find_model
 from op3.common.private import CLAIMED, scrub
 from op3.common.wandb_settings import WandbSettings
-
-if TYPE_CHECKING:
-    from op3.report import RunFolder
 
 Made = TypeVar("Made", bound=CommandResult)
 
@@ -59,27 +56,6 @@ def command_of_run() -> str:
 def model_artifact(cfg: DictConfig) -> list[tuple[str, Path]]:
     """The config's model file as an input artifact of the run; empty if the robot's own model is used."""
     return [("model", find_model(cfg.model))] if cfg.get("model") else []
-
-
-READ = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
-"""Artifact type of each field that names an input, besides the model."""
-
-
-def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
-    """This run's folder with its provenance; `made` lists the files that become artifacts, by kind."""
-    from op3.report import RunFolder  # imports plotly, which a deployment does not need
-
-    folder = output_folder()
-    given = {name: plain(cfg[name]) for name in READ if name in cfg}
-    used = [(READ[name], where) for name, where in given.items() if isinstance(where, str | list)]
-    return RunFolder(
-        folder,
-        provenance(cfg, given.get("data")),
-        plain(cfg),
-        wandb_of(cfg),
-        used=[*used, *model_artifact(cfg)],
-        made=[(kind, folder / name) for kind, name in made.items()],
-    )
 
 
 def wandb_of(cfg: DictConfig) -> WandbSettings:

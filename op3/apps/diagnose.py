@@ -22,10 +22,10 @@ from threadpoolctl import threadpool_limits
 
 from op3.apps.command_result import CommandResult
 from op3.apps.compose import configured
-from op3.apps.current_run import output_folder, reported, run_folder
+from op3.apps.current_run import output_folder, reported
 from op3.apps.fields import plain, whole
 from op3.apps.progress import ProgressLine
-from op3.apps.support import library_motion
+from op3.apps.support import library_motion, run_folder
 from op3.diagnose import (
     Diagnosis,
     Settings,

@@ -20,9 +20,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from op3.apps.command_result import CommandResult
 from op3.apps.compose import configured
-from op3.apps.current_run import output_folder, provenance, reported, run_folder
+from op3.apps.current_run import output_folder, provenance, reported
 from op3.apps.fields import plain, whole
 from op3.apps.progress import ProgressLine
+from op3.apps.support import run_folder
 from op3.common.assets import here_or_shipped
 from op3.common.sample_intervals import mean_interval, wilson_interval
 from op3.compliance.robustness import Variation, make_card

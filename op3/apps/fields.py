@@ -125,6 +125,8 @@ def check(cfg: DictConfig) -> None:
         ValueError: one sentence that names the field and its valid values.
         FileNotFoundError: if the model is neither a file nor a name.
     """
+    for name in (name for name in REQUIRED if not OmegaConf.is_missing(cfg, name) and cfg.get(name) == ""):
+        raise ValueError(f"{name} is empty: give {REQUIRED[name]}")
     Common.of(cfg)
     if "wandb" in cfg:
         WandbSettings.of(plain(cfg.wandb))
@@ -145,9 +147,7 @@ def check(cfg: DictConfig) -> None:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
         if isinstance(value, str) and not glob.has_magic(value) and not Path(value).exists():
             raise ValueError(f"{name}={value}: there is no such file or folder; correct the path")
-    baselines = (
-        BASELINES if "baseline" in cfg else ()
-    )  # where a baseline is a setting, the policy may be a baseline too
+    baselines = BASELINES if "baseline" in cfg else ()  # then the policy may be a baseline too
     for name, known in {"policy": baselines, "baseline": baselines, "what": model_names()}.items():
         value = None if OmegaConf.is_missing(cfg, name) or cfg.get("live") else cfg.get(name)
         if isinstance(value, str) and value not in known and not here_or_shipped(value).exists():

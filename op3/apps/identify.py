@@ -6,6 +6,7 @@ op3 identify experiment=servo_bench data=<folder of bench logs>
 """
 
 import dataclasses
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -19,10 +20,10 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.compose import configured
-from op3.apps.current_run import output_folder, reported, run_folder
+from op3.apps.current_run import output_folder, reported
 from op3.apps.fields import plain
 from op3.apps.job import goes_on
-from op3.apps.support import focus_joints, logs_where
+from op3.apps.support import focus_joints, logs_where, run_folder
 from op3.identify.identification import PREFIX, Fit, Identification, Refine
 from op3.identify.loss import UNIT_WEIGHTS, TrajectoryLoss
 from op3.identify.resolvers import chosen_model
@@ -181,8 +182,9 @@ def main(cfg: DictConfig) -> Any:
 
     def report(study: optuna.Study) -> Identified:
         fit = identification.finish(study, **cfg.refine)
-        wall_seconds, compared = duration(started, study), datetime.now()
+        compared = datetime.now()
         ablated = without_effects(cfg, folder)
+        ablated_seconds = (datetime.now() - compared).total_seconds()
         save_model(fit.model, folder / "model.yaml")
         if ablated is not None:
             label = ablated.label.lower().replace(", ", "_").replace(" ", "_")
@@ -191,10 +193,11 @@ def main(cfg: DictConfig) -> Any:
             fit,
             ablated,
             run_folder(cfg, model="model.yaml"),
-            wall_seconds=wall_seconds,
-            ablated_seconds=(datetime.now() - compared).total_seconds(),
+            wall_seconds=duration(started, study),
+            ablated_seconds=ablated_seconds,
             joints=identification.joints,
         )
-        return reported(Identified, values, model=fit.model)
+        following = f"op3 predict {shlex.quote(f'model={folder}/model.yaml')} data=<other logs>"
+        return reported(Identified, values, model=fit.model, following=following)
 
     return sweep_or_report(cfg, identification.evaluate, report, identity=identification.identity)

@@ -15,9 +15,9 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.compose import configured
-from op3.apps.current_run import reported, run_folder
+from op3.apps.current_run import reported
 from op3.apps.fields import plain
-from op3.apps.support import focus_joints, logs_where
+from op3.apps.support import focus_joints, logs_where, run_folder
 from op3.identify.prediction_score import PredictionScore, predict_logs
 from op3.report.prediction_page import report_prediction
 from op3.rollout import read_logs
@@ -74,7 +74,8 @@ def main(cfg: DictConfig) -> Predicted:
     score = predict_logs(
         model_for(logs[0].robot, cfg.model), logs, joints=joints, bench_timestep=cfg.bench_timestep, seed=cfg.seed
     )
-    path = Path(f"{logs[0].robot.name}'s data sheets") if cfg.model is None else find_model(cfg.model)
+    chosen = cfg.model or logs[0].robot.file.law
+    path = find_model(chosen) if chosen else Path(f"{logs[0].robot.name}'s data sheets")
     values = report_prediction(
         score,
         run_folder(cfg),

@@ -20,11 +20,12 @@ from omegaconf import DictConfig
 
 from op3.apps.command_result import CommandResult
 from op3.apps.compose import configured
-from op3.apps.current_run import output_folder, reported, run_folder
+from op3.apps.current_run import output_folder, reported
 from op3.apps.diagnose import diagnose
 from op3.apps.fields import plain
 from op3.apps.job import goes_on
 from op3.apps.stages import Stages
+from op3.apps.support import run_folder
 from op3.identify.identification import PREFIX
 from op3.identify.search_space import parse_search_space
 from op3.identify.sweeper import sweep_or_report

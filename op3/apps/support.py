@@ -1,4 +1,4 @@
-"""Functions that several commands share: the settings of a run's folder, logs and motions by name."""
+"""Functions that several commands share: a run's folder and its settings, logs and motions by name."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -11,6 +11,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from op3.apps.compose import composed, override
+from op3.apps.current_run import model_artifact, output_folder, provenance, wandb_of
+from op3.apps.fields import plain
 from op3.common.assets import named_configs
 from op3.common.private import scrub
 from op3.common.settings import nearest
@@ -19,6 +21,7 @@ from op3.robot import DEFAULT
 
 if TYPE_CHECKING:
     from op3.motions import Motion
+    from op3.report import RunFolder
     from op3.rollout import Rollout
 
 ASKED = "asked.yaml"
@@ -38,10 +41,11 @@ def check_same(path: Path, asked: Mapping[str, Any]) -> None:
     if not path.exists():
         return
     before, asked = yaml.safe_load(path.read_text(encoding="utf-8")), scrub(dict(asked))
-    names = [name for name in {**before, **asked} if before.get(name) != asked.get(name)]
-    if names:
-        was, now = ({name: each.get(name) for name in names} for each in (before, asked))
-        raise ValueError(f"{path.parent} was started with {was}, not {now}; choose another hydra.run.dir")
+    both = {name: [each.get(name, "unset") for each in (before, asked)] for name in {**before, **asked}}
+    if differing := [f"{name}: {was} -> {now}" for name, (was, now) in both.items() if was != now]:
+        raise ValueError(
+            f"{path.parent} was started with other settings ({', '.join(differing)}); choose another hydra.run.dir"
+        )
 
 
 def remember(path: Path, asked: Mapping[str, Any]) -> None:
@@ -49,6 +53,27 @@ def remember(path: Path, asked: Mapping[str, Any]) -> None:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, yaml.safe_dump(scrub(dict(asked)), width=1000))
+
+
+INPUTS = {"policy": "policy", "data": "log", "heldout": "log", "episodes": "log"}
+"""Artifact type of each field that names an input, besides the model."""
+
+
+def run_folder(cfg: DictConfig, **made: str) -> "RunFolder":
+    """This run's folder with its provenance; `made` lists the files that become artifacts, by kind."""
+    from op3.report import RunFolder  # imports plotly, which a deployment does not need
+
+    folder = output_folder()
+    given = {name: plain(cfg[name]) for name in INPUTS if name in cfg}
+    used = [(INPUTS[name], where) for name, where in given.items() if isinstance(where, str | list)]
+    return RunFolder(
+        folder,
+        provenance(cfg, given.get("data")),
+        plain(cfg),
+        wandb_of(cfg),
+        used=[*used, *model_artifact(cfg)],
+        made=[(kind, folder / name) for kind, name in made.items()],
+    )
 
 
 def seeded_faults(node: DictConfig) -> Any:

@@ -36,8 +36,14 @@ from op3.report.viewer import RATE, pictures, window
 from op3.robot import load_robot
 from op3.robot.robot_file import FORMAT as ROBOT_FORMAT
 from op3.rollout import Rollout, read_logs
+from op3.rollout.rollout import METADATA_FILE
 from op3.sim import load_model, model_for
 from op3.tasks.task import POLICY_PERIOD, find_task
+
+MODEL_FILE = "model.yaml"
+
+LISTED = 8
+"""Number of listed folders, if the given folder has several."""
 
 
 def of_log(cfg: DictConfig) -> Tracks:
@@ -103,6 +109,14 @@ def of_robot(cfg: DictConfig) -> Tracks:
     return Tracks({"commanded": Rollout.from_arrays(told, log.metadata), "simulated": log}, scene_of(log))
 
 
+def shown_in(folder: Path) -> list[Path]:
+    """Folders of policies, models, diagnoses and logs in a folder, the newest first."""
+    marks = [file for name in (MANIFEST, SHOWN, MODEL_FILE, METADATA_FILE) for file in folder.glob(f"**/{name}")]
+    found = {mark.parent: mark.stat().st_mtime for mark in marks}
+    outer = [place for place in found if found.keys().isdisjoint(place.parents)]
+    return sorted(outer, key=lambda place: found[place], reverse=True)
+
+
 def tracks_of(cfg: DictConfig) -> Tracks:
     """The tracks to show for the given path."""
     path = here_or_shipped(cfg.what)
@@ -111,9 +125,16 @@ def tracks_of(cfg: DictConfig) -> Tracks:
             return of_policy(cfg, policy)
     if (path / SHOWN).is_dir():
         return of_diagnosis(path)
-    if path.is_file() and path.suffix in (".yaml", ".yml") and read_yaml(path).get("format") == ROBOT_FORMAT:
+    is_yaml = path.suffix in (".yaml", ".yml")
+    if path.suffix in (".xml", ".urdf") or (
+        is_yaml and path.is_file() and read_yaml(path).get("format") == ROBOT_FORMAT
+    ):
         return of_robot(cfg)
-    is_model = path.suffix in (".yaml", ".yml") or not path.exists() or (path / "model.yaml").is_file()
+    is_model = is_yaml or not path.exists() or (path / MODEL_FILE).is_file()
+    below = [] if is_model else shown_in(path)
+    if len({place.parent for place in below}) > 1 or not all((place / METADATA_FILE).is_file() for place in below):
+        rest = f" and {len(below) - LISTED} more" * (len(below) > LISTED)
+        raise ValueError(f"what={cfg.what}: name one of {', '.join(map(str, below[:LISTED]))}{rest}, the newest first")
     return of_model(cfg) if is_model else of_log(cfg)
 
 

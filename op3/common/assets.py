@@ -84,6 +84,9 @@ def robot_file(name: str | Path) -> Path:
     """
     known = robot_files()
     path = known.get(str(name)) or Path(name)
+    if path.suffix in (".xml", ".urdf"):
+        begin = f"format: op3-robot/1, name: <name>, model: {path.name}, servo: <make>, joints: {{<joint>: {{}}}}"
+        raise ValueError(f"{path} is a model; a robot file is a .yaml beside it with {begin} (docs/your_robot.md)")
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(
             f"there is no robot {str(name)!r}{nearest(str(name), known)}; give a valid name or the path of a .yaml"

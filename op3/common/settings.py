@@ -20,7 +20,7 @@ import re
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, dataclass_transform, get_args, get_origin
 
 import pydantic
 import pydantic.dataclasses
@@ -169,18 +169,20 @@ def first_fault(error: pydantic.ValidationError, kind: Any) -> Fault:
     if name in ("unexpected_keyword_argument", "extra_forbidden"):
         return Fault(place, given, "", f"is not a field{nearest(place[-1], _fields(kind, place))}")
     if name in ("missing", "missing_argument"):
-        return Fault(place, given, "", "is missing; add it")
+        wanted = getattr(_fields(kind, place).get(place[-1]), "annotation", None)
+        entry = f"{place[-1]}: {get_args(wanted)[0]}" if get_origin(wanted) is Literal else "it"
+        return Fault(place, given, "", f"is missing; add {entry}")
     wanted = _WANTED[name].format(**context) if name in _WANTED else f"valid ({detail['msg']})"
     return Fault(place, given, wanted, f"must be {wanted}, got {shown(given)}")
 
 
-def _fields(kind: Any, place: Sequence[str | int]) -> list[str]:
+def _fields(kind: Any, place: Sequence[str | int]) -> Mapping[Any, Any]:
     """Fields of the record that contains an entry."""
     for step in place[:-1]:
         known = getattr(kind, "__pydantic_fields__", {})
         parts = _parts(known[step].annotation if step in known else kind)
         kind = next((part for part in parts if hasattr(part, "__pydantic_fields__")), parts[0])
-    return list(getattr(kind, "__pydantic_fields__", {}))
+    return getattr(kind, "__pydantic_fields__", {})
 
 
 def _parts(annotation: Any) -> list[Any]:

@@ -46,7 +46,8 @@ class StageGap:
         given: error of the given model.
         baseline: error of the baseline fit.
         returned: error of the returned model.
-        floor: difference between repeats of a command from the same state; None without repeats.
+        floor: difference between repeats of a command from the same state, None without repeats; of torque, the
+            resolution of the sensors.
         signal: RMS of the measured signal.
     """
 

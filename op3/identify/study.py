@@ -310,7 +310,10 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
     name, directions = how.study_name, [StudyDirection[direction.upper()] for direction in how.directions]
     storage = open_storage(how.storage)
     with _quiet_optuna():
-        study = optuna.create_study(storage=storage, study_name=name, directions=directions, load_if_exists=True)
+        try:  # to create a study writes to the storage even if the study exists, and this run may be refused
+            study = optuna.load_study(storage=storage, study_name=name)
+        except KeyError:
+            study = optuna.create_study(storage=storage, study_name=name, directions=directions, load_if_exists=True)
     space, attributes = search_space_to_json(how.search_space), study.user_attrs
     if study.directions != directions or attributes.get("search_space", space) != space:
         raise StudyError(
@@ -326,13 +329,10 @@ def _open_study(how: StudySettings, identity: Mapping[str, str] | None) -> optun
             f"The stored study {name!r} has other {', '.join(differs)} than this run: choose another folder"
             " (hydra.run.dir), storage or study_name, or repeat the original command."
         )
-    if identity is not None:
-        study.set_user_attr("identity", dict(identity))
-    if "search_space" not in attributes:
-        study.set_user_attr("search_space", space)
     seed = attributes.get("seed", secrets.randbits(31)) if how.seed is None else how.seed
-    if attributes.get("seed") != seed:
-        study.set_user_attr("seed", seed)
+    for key, value in {"identity": identity and dict(identity), "search_space": space, "seed": seed}.items():
+        if value is not None and attributes.get(key) != value:
+            study.set_user_attr(key, value)
     return study
 
 

@@ -61,6 +61,9 @@ def _of_any_robot(excursions: Callable[..., tuple[Array, Array]]) -> Callable[..
         duration: float | None = None,
         **own: Any,
     ) -> Motion:
+        for field, value in {"duration": duration, **own}.items():
+            if isinstance(value, int | float) and not value > 0:
+                raise ValueError(f"motion {name!r}: {field} must be positive, got {value}")
         known = load_robot(robot)
         if stretches and duration is not None:
             own["duration"] = duration

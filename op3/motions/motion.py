@@ -68,8 +68,9 @@ class Motion:
 
 def sample_times(duration: float, rate: float) -> NDArray[np.float64]:
     """Times 0, 1/rate, ... below `duration` [time] in s."""
-    if not (duration > 0 and rate > 0):
-        raise ValueError(f"duration and rate must be positive, got {duration} s and {rate} Hz")
+    for name, value in (("duration", duration), ("rate", rate)):
+        if not value > 0:
+            raise ValueError(f"{name} must be positive, got {value}")
     return np.arange(round(duration * rate)) / rate
 
 

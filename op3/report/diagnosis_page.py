@@ -222,12 +222,12 @@ def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
     """Errors in windows, by joint, over all joints, and by horizon."""
     if windows is None:
         return {}
-    ends = [*SHOWN_STAGES, "repeats", "given model [%]", "returned model [%]"]
+    shares = ["given model [%]", "returned model [%]"]
 
     def row(one: StageGap, scale: float) -> list[Any]:
         floor = None if one.floor is None else scale * one.floor
-        shares = (one.percent["given"], one.percent["returned"])
-        return [*(scale * getattr(one, stage) for stage in STAGES), floor, *shares]
+        errors = [scale * getattr(one, stage) for stage in STAGES]
+        return [*errors, floor, one.percent["given"], one.percent["returned"]]
 
     rows = [
         [words(joint), name, in_thousandths(None, CHANNELS[name])[1], *row(of[name], 1e3)]
@@ -237,8 +237,8 @@ def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
     ]
     horizons = [[f"{length:g}", *row(one, 1e3)] for length, one in windows.horizons.items()]
     return {
-        "windows": (["joint", "channel", "unit", *ends], rows),
-        "horizons": (["horizon [s]", *(f"{end} [mrad]" for end in ends[:4]), *ends[4:]], horizons),
+        "windows": (["joint", "channel", "unit", *SHOWN_STAGES, "repeats (torque: resolution)", *shares], rows),
+        "horizons": (["horizon [s]", *(f"{end} [mrad]" for end in (*SHOWN_STAGES, "repeats")), *shares], horizons),
     }
 
 

@@ -31,7 +31,7 @@ def report_identification(
 
     Args:
         ablated: identified model without some effects, for comparison.
-        wall_seconds: duration of the identification [s].
+        wall_seconds: duration of the run, with that of the comparison [s].
         ablated_seconds: duration of the comparison's identification [s].
         joints: joints to draw; empty: all joints of a log.
     """

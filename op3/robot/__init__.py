@@ -2,7 +2,7 @@
 
 from op3.common.assets import asset_path
 from op3.robot.entity import RobotEntity
-from op3.robot.kinematics import key_points, quaternion, sole_corners, standing_height
+from op3.robot.kinematics import key_points, quaternion, standing_height
 from op3.robot.robot import DEFAULT, Robot, load_robot, pose
 from op3.robot.servo_make import ServoMake, load_servo, supply_shares
 
@@ -17,7 +17,6 @@ __all__ = [
     "load_servo",
     "pose",
     "quaternion",
-    "sole_corners",
     "standing_height",
     "supply_shares",
 ]

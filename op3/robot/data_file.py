@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, ClassVar, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -22,6 +22,8 @@ class Record(BaseModel):
     """Part of a data file with exactly these fields, immutable after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    split_from: ClassVar[Mapping[str, str]] = {}
+    """Fields with a part of another entry of the file, and that entry."""
 
 
 def among(what: str, known: Iterable[str]) -> AfterValidator:
@@ -87,13 +89,8 @@ class DataFile:
         try:
             return kind.model_validate(self.content)
         except ValidationError as error:
-            place, *_, problem = first_fault(error, kind)
-            if place[0] not in self.content and place[1:2]:  # a part of another entry, of the same names
-                place = next(((field, *place[1:]) for field in self.content if self._has(field, place[1])), place)
-            raise self.fault(place, str(problem)) from None
-
-    def _has(self, field: str, name: str | int) -> bool:
-        return isinstance(self.content[field], dict) and name in self.content[field]
+            (field, *inner), *_, problem = first_fault(error, kind)
+            raise self.fault((kind.split_from.get(str(field), field), *inner), str(problem)) from None
 
 
 def _step(node: yaml.Node | None, step: str | int) -> tuple[int, yaml.Node] | None:

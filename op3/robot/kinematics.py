@@ -29,20 +29,6 @@ def _forward(joint_position: ArrayLike, robot: str | Robot) -> tuple[Robot, mujo
     return known, data, np.zeros(3) if base is None else data.body(base).xpos.copy()
 
 
-def sole_corners(joint_position: ArrayLike, robot: str | Robot) -> Array:
-    """Corners of the boxes of the soles relative to the base [m].
-
-    Args:
-        joint_position: angles [joint] in rad.
-
-    Returns:
-        [sole box, corner, xyz], boxes in the order of the robot's file.
-    """
-    known, data, base = _forward(joint_position, robot)
-    boxes = [(data.geom(name), known.bare_model.geom(name).size) for name in known.file.soles]
-    return np.array([box.xpos + (_CORNER_SIGNS * half) @ box.xmat.reshape(3, 3).T - base for box, half in boxes])
-
-
 def key_points(joint_position: ArrayLike, robot: str | Robot) -> Array:
     """The key points relative to the base [m], [key point, xyz] in the order of the robot's file."""
     known, data, base = _forward(joint_position, robot)

@@ -21,7 +21,7 @@ from op3.common.assets import robot_file, robot_files
 from op3.common.settings import nearest
 from op3.robot.data_file import DataFile, DataFileError
 from op3.robot.model_source import ModelSource, read_model
-from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names, servo_path
+from op3.robot.robot_file import ANGLES, LogChannel, RobotFile, check_names, in_degrees, servo_path
 from op3.robot.servo_make import ServoMake, load_servo, supply_shares
 
 Array = NDArray[np.float64]
@@ -59,7 +59,8 @@ class Robot:
         for place, name, angle in angles:
             low, high = self.limits[self._index[name]]
             if not low <= angle <= high:
-                raise file.fault(place, f"is {angle:g} rad, outside its limits {low:g} to {high:g}")
+                problem = f"is {angle:g} rad, outside its limits {low:g} to {high:g}"
+                raise file.fault(place, problem + in_degrees(angle))
 
     @property
     def reference(self) -> str:
@@ -276,9 +277,8 @@ class Robot:
         model, data = self.bare_model, mujoco.MjData(self.bare_model)
         data.qpos[:] = self.configuration(joint_position)
         mujoco.mj_forward(model, data)
-        torque = np.zeros(len(self.joints))
         by_name = {model.joint(number).name: data.qfrc_bias[model.jnt_dofadr[number]] for number in range(model.njnt)}
-        torque += [by_name[name] for name in self.joints]
+        torque = np.array([by_name[name] for name in self.joints])
         for name, (driver, ratio, _) in self.followed.items():
             if driver is not None:
                 torque[self._index[driver]] += ratio * by_name[name]

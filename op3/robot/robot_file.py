@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping
-from math import pi
+from math import pi, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -157,6 +157,7 @@ class RobotFile(Record):
         parameters: parameters of the model that differ between robots, by name.
     """
 
+    split_from = {"unpowered": "joints"}
     format: Literal["op3-robot/1"]
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")
     model: str
@@ -187,7 +188,7 @@ class RobotFile(Record):
             joints = {name: {} if entry is None else entry for name, entry in joints.items()}
             free = {n: e for n, e in joints.items() if isinstance(e, dict) and Unpowered.model_fields.keys() & e.keys()}
             driven = {name: entry for name, entry in joints.items() if name not in free}
-            values = {**values, "joints": driven, "unpowered": {**(values.get("unpowered") or {}), **free}}
+            values = {**values, "joints": driven, "unpowered": free}
         return values
 
 
@@ -308,12 +309,24 @@ def _check_joints(file: DataFile, content: RobotFile, model: mujoco.MjModel, cou
 def _check_limits(
     file: DataFile, place: tuple[str, ...], limits: tuple[float, float], joint: Any, count: float
 ) -> None:
-    """Raise an error for invalid ranges, and for limits beyond the model's range by more than an encoder count."""
-    (low, high), (first, last) = limits, joint.range
+    """Raise an error for invalid ranges, and for limits beyond the model's range by more than an encoder count.
+
+    Without a range, the limit is a turn either way: angles in degrees must be noticed.
+    """
+    (low, high), (first, last) = limits, joint.range if joint.limited else (-2 * pi, 2 * pi)
     if not low < high:
         raise file.fault(place, f"go from {low:g} to {high:g}: give the lower one first")
-    if joint.limited and (low < first - count or high > last + count):
-        raise file.fault(place, f"go from {low:g} to {high:g} rad, beyond the model's {first:.4g} to {last:.4g}")
+    if low < first - count or high > last + count:
+        most = (
+            f"the model's {first:.4g} to {last:.4g}" if joint.limited else "a turn either way (the model has no range)"
+        )
+        raise file.fault(place, f"go from {low:g} to {high:g} rad, beyond {most}{in_degrees(low, high)}")
+
+
+def in_degrees(*angles: float) -> str:
+    """Hint after angles [rad] that are probably degrees; empty if they are not."""
+    largest = max(angles, key=abs)
+    return f"; write radians: {largest:g} deg is {radians(largest):.4g}" if abs(largest) > 2 * pi else ""
 
 
 def _check_partners(file: DataFile, content: RobotFile) -> None:

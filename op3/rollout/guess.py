@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 
 from op3.rollout.readers.reader import Column
 from op3.rollout.schema import CHANNELS, normal_key, place
-from op3.rollout.units import UNITS, canonical
+from op3.rollout.units import COUNTS, UNITS, canonical
 
 _SPELLINGS: dict[str, str] = {
     "command/position": "target goal command commands commanded cmd desired des ref reference setpoint action actions"
@@ -38,7 +38,7 @@ _IMU = {"gyro": "gyro", "gyroscope": "gyro", "angular": "gyro", "acc": "acc", "a
 _IMU |= {"linear": "acc", "acceleration": "acc"}
 _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rad": None, "radians": None, "rpm": "rpm", "dps": "deg/s"}
 _UNITS |= {"ma": "mA", "mv": "mV", "ms": "ms", "us": "us", "ns": "ns", "percent": "percent", "mrad": "mrad"}
-_UNITS |= {"ticks": "counts of 4096 a turn", "counts": "counts of 4096 a turn"}
+_UNITS |= {"ticks": COUNTS, "counts": COUNTS}
 _UNITS |= {"°": "deg", "degs": "deg/s", "radps": None, "rads": None}
 _SUFFIXES = {"a": None, "v": None, "c": None, "degc": None, "nm": None, "est": None, "pct": "percent"}
 _FILLERS = re.split(" ", "joint joints present measured meas actual act raw motor i s value observation imu of main")

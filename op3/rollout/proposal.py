@@ -20,7 +20,7 @@ from op3.rollout.read import reader_of
 from op3.rollout.readers.reader import Column, Recording
 from op3.rollout.robot_log import called, in_its_terms
 from op3.rollout.schema import place
-from op3.rollout.units import UNITS
+from op3.rollout.units import COUNTS, UNITS
 
 Proposal = tuple[dict[str, Any], dict[str, Column], list[str], set[str]]
 
@@ -77,7 +77,7 @@ def _in_counts(
     numbers = np.concatenate([values[name][np.isfinite(values[name])] for name in chosen])
     small = numbers.max() < 1024 and numbers.min() >= 0 and 256 < np.median(numbers) < 768
     fine = numbers.max() < 2**16 and numbers.min() >= 0 and 2**14 < np.median(numbers) < 3 * 2**14
-    unit = "counts of 1024 in 300 deg" if small else "counts of 65536 a turn" if fine else "counts of 4096 a turn"
+    unit = "counts of 1024 in 300 deg" if small else "counts of 65536 a turn" if fine else COUNTS
     found, why = dict(columns), f"integers from {numbers.min():g} to {numbers.max():g}"
     for name, column in columns.items():
         joint = called(robot).get(str(column.name).rpartition(".")[0]) if robot and column.name else None

@@ -12,6 +12,12 @@ from op3.rollout.schema import Quantity
 
 _DEG, _TURN, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
 
+TURN_COUNTS = 4096
+"""Counts per turn of most encoders of hobby servos."""
+
+COUNTS = f"counts of {TURN_COUNTS} a turn"
+"""Unit of their angles."""
+
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "rad": {
@@ -20,7 +26,7 @@ UNITS: dict[str, dict[str, float]] = {
         "0.1 deg": 0.1 * _DEG,
         "mrad": 1e-3,
         "turn": _TURN,
-        "counts of 4096 a turn": _TURN / 4096,
+        COUNTS: _TURN / TURN_COUNTS,
         "counts of 1024 a turn": _TURN / 1024,
         "counts of 65536 a turn": _TURN / 65536,
         "counts of 1024 in 300 deg": 300 * _DEG / 1024,
@@ -34,7 +40,7 @@ UNITS: dict[str, dict[str, float]] = {
         "counts of 0.229 rpm": 0.229 * _RPM,
         "counts of 0.111 rpm": 0.111 * _RPM,
         "counts of 0.732 rpm": 0.732 * _RPM,
-        "counts of 4096 a turn per second": _TURN / 4096,
+        f"{COUNTS} per second": _TURN / TURN_COUNTS,
     },
     "A": {"A": 1.0, "mA": 1e-3, "counts of 2.69 mA": 2.69e-3, "counts of 4.5 mA": 4.5e-3, "counts of 6.5 mA": 6.5e-3},
     "": {"": 1.0, "percent": 0.01, "counts of 885": 1 / 885, "counts of 1000": 1e-3, "counts of 1023": 1 / 1023},

@@ -222,7 +222,7 @@ def check_scene(name: str, robot: Robot) -> None:
     if name not in ("stand", "bench") and not robot.sole_geoms:
         raise ValueError(
             f"{robot.name} cannot stand: the scene {name!r} needs soles, but its file names neither soles nor"
-            " colliding feet"
+            " colliding feet; add feet: [<body>, ...]; for an arm, choose task=reach or mount=stand"
         )
 
 

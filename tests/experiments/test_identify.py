@@ -37,13 +37,14 @@ def heldout(tmp_path_factory) -> Path:
 
 
 def test_one_process(log, heldout, tmp_path):
-    """A run writes model, page and numbers, and prints the paths of page and numbers last."""
+    """A run writes page, numbers and model, and prints their paths last, the model's in the next command."""
     folder = tmp_path / "run"
     done = identify(f"data={log}", f"heldout={heldout}", f"hydra.run.dir={folder}", *SMALL)
     assert done.returncode == 0, done.stderr
-    page, result = map(Path, done.stdout.strip().splitlines()[-2:])
-    assert page == folder / "index.html"
-    assert result == folder / "result.yaml"
+    *paths, following = done.stdout.strip().splitlines()[-3:]
+    assert paths == [str(folder / name) for name in ("index.html", "result.yaml")]
+    assert following == f"next: op3 predict model={folder}/model.yaml data=<other logs>"
+    page, result = map(Path, paths)
     numbers = read_result(result)
     assert numbers["trials"] == 6
     # the log comes from the model itself, whose values are the first trial
@@ -51,7 +52,7 @@ def test_one_process(log, heldout, tmp_path):
     # 0.792 s of motion after 0.2 s of settling, for 6 trials, the point of the intervals with 2 * 10 ends of short arms
     # and 2 * 10 of arms as long as an interval, and the score
     assert numbers["simulated_seconds"] == pytest.approx((6 + 1 + 20 + 20 + 1) * 0.992)
-    assert numbers["wall_seconds_without_dte"] > 0
+    assert numbers["wall_seconds"] > numbers["wall_seconds_without_dte"] > 0
     assert set(numbers["parameters.backward_efficiency"]) == {"value", "low", "high"}
     told = [*numbers["identifiability.identifiable"], *numbers["identifiability.not_identifiable"]]
     assert sorted(told) == sorted(numbers["identifiability.parameters"])

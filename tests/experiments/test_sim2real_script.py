@@ -88,7 +88,7 @@ def test_a_folder_of_another_condition_is_refused(tmp_path):
     (tmp_path / "asked.yaml").write_text("{condition: excitation_only, criterion: 0.8}")
     done = sim2real(tmp_path, *DEMO, "condition=reidentified")
     assert done.returncode != 0
-    assert "was started with {'condition': 'excitation_only'" in done.stderr
+    assert "was started with other settings (condition: excitation_only -> reidentified" in done.stderr
     assert not (tmp_path / "squat").exists()
 
 

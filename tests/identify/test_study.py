@@ -165,26 +165,29 @@ def test_an_interrupt_stores_what_is_finished_and_nothing_else(tmp_path):
 
 WORKER = """
 import sys, time
+from pathlib import Path
 from optuna.distributions import FloatDistribution
 from op3.identify.study import StudySettings, TrialOutcome, run_study
 
-storage, n_trials, seconds, worker = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
+storage, worker = sys.argv[1], int(sys.argv[2])
 
 def evaluate(population):
-    time.sleep(seconds)
+    Path(f"{storage}.{worker}").touch()
+    end = time.monotonic() + 60
+    while not Path(f"{storage}.{1 - worker}").exists() and time.monotonic() < end:
+        time.sleep(0.01)  # both have begun
     return [TrialOutcome((p["x"],)) for p in population]
 
-how = StudySettings({"x": FloatDistribution(0, 1)}, storage=storage, n_trials=n_trials, population=8,
+how = StudySettings({"x": FloatDistribution(0, 1)}, storage=storage, n_trials=120, population=8,
                     nominal={"x": 0.5}, sampler="random", seed=1, worker=worker)
 run_study(evaluate, how, progress=False)
 """
 
 
-def start_worker(storage, n_trials, seconds, worker=0):
-    """Start a process that works on a study."""
+def start_worker(storage, worker):
+    """Start a process that works on a study with another one."""
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    arguments = [storage, str(n_trials), str(seconds), str(worker)]
-    return subprocess.Popen([sys.executable, "-c", WORKER, *arguments], env=environment)
+    return subprocess.Popen([sys.executable, "-c", WORKER, storage, str(worker)], env=environment)
 
 
 def load(storage):
@@ -195,7 +198,7 @@ def load(storage):
 def test_two_workers_share_a_study(tmp_path):
     """Two processes on one journal reach n_trials together: no point twice, both at work."""
     storage = tmp_path / "study.journal"
-    workers = [start_worker(storage, 120, 0.05, number) for number in range(2)]
+    workers = [start_worker(storage, number) for number in range(2)]
     assert [worker.wait() for worker in workers] == [0, 0]
     trials = load(storage).trials
     assert 120 <= len(trials) <= 136  # either may have begun two populations that the other did not know of
@@ -277,8 +280,10 @@ def test_a_study_of_other_data_is_refused_before_its_trials_answer(part, tmp_pat
     path, identity = tmp_path / "study.journal", {"logs": "a", "model": "m"}
     first = quick_study(storage=path, identity=identity)
     quick_study(storage=path, identity=None)
+    stored = path.read_bytes()
     with pytest.raises(StudyError, match=f"has other {part} than this run"):
         quick_study(storage=path, identity={**identity, part: "other"})
+    assert path.read_bytes() == stored
     assert points(quick_study(storage=path, identity=identity)) == points(first)
     quick_study(storage=tmp_path / "unnamed.journal")
     with pytest.raises(StudyError, match="has other logs, model than this run"):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from op3.motions import Motion, hold, squat
+from op3.motions import Motion, hold, squat, staircase
 from op3.motions.op3_motions import SQUAT_LEAN
-from op3.robot import pose, sole_corners
+from op3.robot import pose
 from op3.robot.kinematics import minimum_jerk, rotation_matrix, sole_normals
-from tests.op3_table import JOINTS, SOFT_LIMITS, center_of_mass, indices, mirror
+from tests.op3_table import JOINTS, SOFT_LIMITS, center_of_mass, indices, mirror, sole_corners
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 
@@ -42,7 +42,7 @@ def test_squat_is_flat_and_balanced(motion):
         normals = sole_normals(position, "op3") @ world.T
         tilt = np.arctan2(np.linalg.norm(normals[:, :2], axis=1), normals[:, 2])
         assert tilt.max() < 1e-6
-        corners = sole_corners(position, "op3") @ world.T
+        corners = sole_corners(position) @ world.T
         com = world @ center_of_mass(position)
         assert np.ptp(corners[..., 2].min(axis=1)) < 1e-9
         assert abs(com[0] - corners[..., 0].mean()) < 0.02
@@ -77,8 +77,11 @@ def test_bad_arguments():
     """Wrong shapes and durations are refused with the offending value."""
     with pytest.raises(ValueError, match=r"\(2, 20\), got \(3, 20\)"):
         Motion(np.arange(2.0), np.zeros((3, 20)), robot="op3")
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match=r"^duration must be positive, got 0.0"):
         hold(pose("stand", "op3"), duration=0.0, robot="op3")
+    for field in ("duration", "ramp"):
+        with pytest.raises(ValueError, match=f"motion 'staircase': {field} must be positive, got -2"):
+            staircase(robot="op3", **{field: -2})
 
 
 def test_minimum_jerk():

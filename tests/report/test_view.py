@@ -1,5 +1,6 @@
 """Looking at a run: robots in one scene, plots beside them, a film, and what the keys of the window do."""
 
+import os
 from dataclasses import replace
 from importlib import import_module
 
@@ -149,3 +150,17 @@ def test_a_policy_is_shown_with_its_card(tmp_path, capsys):
     Card("STANDS", bundle.fingerprint, "balance", "paper", 50, 0.0, 0.0).save(folder)
     view.show_card(cfg, folder)
     assert capsys.readouterr().out.startswith("STANDS\n---\n")
+
+
+def test_a_folder_of_runs_is_answered_with_what_it_contains(tmp_path):
+    """The newest first; an arbitrary log of another run would be taken for the one that was meant."""
+    for age, name in enumerate(("b/log/metadata.yaml", "a/model.yaml", "a/shown/before/metadata.yaml")):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+        os.utime(file, (1e9 - age, 1e9 - age))
+    cfg = OmegaConf.create({"what": str(tmp_path), "number": 0, "robot": None})
+    with pytest.raises(
+        ValueError, match=f"what={tmp_path}: name one of {tmp_path}/b/log, {tmp_path}/a, the newest first"
+    ):
+        import_module("op3.apps.view").tracks_of(cfg)

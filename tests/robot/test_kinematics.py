@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from op3.robot import key_points, quaternion, sole_corners
+from op3.robot import key_points, quaternion
 from op3.robot.kinematics import rotation_matrix
-from tests.op3_table import JOINTS, KEY_POINTS, SOFT_LIMITS, mirror
+from tests.op3_table import JOINTS, KEY_POINTS, SOFT_LIMITS, mirror, sole_corners
 
 joint_positions = st.tuples(*(st.floats(*SOFT_LIMITS[name]) for name in JOINTS)).map(np.array)
 angles = st.floats(-3.0, 3.0)
@@ -39,7 +39,7 @@ def test_rotation_is_yaw_after_pitch_after_roll(roll, pitch, yaw):
 def test_key_points_are_corners_of_the_soles():
     """In the zero pose key points lie on the underside of the soles, at the toe and heel edges."""
     points = dict(zip(KEY_POINTS, key_points(np.zeros(20), "op3"), strict=True))
-    corners = sole_corners(np.zeros(20), "op3")
+    corners = sole_corners(np.zeros(20))
     for side, feet in (("l", corners[:2]), ("r", corners[2:])):
         inner, outer, heel = (points[f"{side}_sole_{name}"] for name in ("inner_tip", "outer_tip", "heel"))
         assert inner[2] == outer[2] == heel[2] == pytest.approx(feet[..., 2].min())
@@ -50,7 +50,7 @@ def test_key_points_are_corners_of_the_soles():
 
 def test_straight_leg_adds_up():
     """The sole is the sum of the leg's lengths below the trunk: 28.5 + 110.15 + 110 + 30.5 mm."""
-    assert sole_corners(np.zeros(20), "op3")[..., 2].min() == pytest.approx(-0.27915, abs=1e-9)
+    assert sole_corners(np.zeros(20))[..., 2].min() == pytest.approx(-0.27915, abs=1e-9)
 
 
 def test_wrong_shape():

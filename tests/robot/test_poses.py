@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from op3.robot import pose, sole_corners, standing_height
+from op3.robot import pose, standing_height
 from op3.robot.kinematics import level_soles, rotation_matrix, sole_normals
-from tests.op3_table import JOINTS, OP3, SOFT_LIMITS, center_of_mass, mirror
+from tests.op3_table import JOINTS, OP3, SOFT_LIMITS, center_of_mass, mirror, sole_corners
 
 LIMITS = np.array([SOFT_LIMITS[name] for name in JOINTS])
 
@@ -27,7 +27,7 @@ def test_unknown_pose():
 
 def test_stand_is_flat_and_balanced():
     """In the pose "stand" with an upright trunk the soles are level and the centre of mass is above them."""
-    corners = sole_corners(pose("stand", "op3"), "op3")
+    corners = sole_corners(pose("stand", "op3"))
     np.testing.assert_allclose(sole_normals(pose("stand", "op3"), "op3")[:, 2], 1.0, atol=1e-5)
     assert corners[..., 0].min() < center_of_mass(pose("stand", "op3"))[0] < corners[..., 0].max()
 

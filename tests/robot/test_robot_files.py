@@ -1,6 +1,7 @@
 """A robot is a file."""
 
 import pickle
+import re
 
 import mujoco
 import numpy as np
@@ -195,13 +196,14 @@ def test_robots_travel_between_processes(tmp_path):
         ({"servo:": "soles: [foot]\nservo:"}, r"line 6: soles.0 names the geom 'foot', which does not exist"),
         ({"{bus_id: 1}": "{bus_id: true}"}, r"line 8: joints.j0.bus_id must be a whole number, got True"),
         ({"{bus_id: 1}": "servo"}, r"line 8: joints.j0 must be a mapping of its fields, got 'servo'"),
+        ({"format: op3-robot/1\n": ""}, r"line 1: format is missing; add format: op3-robot/1"),
         ({"joints:": "joint:"}, r"line 7: joint is not a field; the nearest is 'joints'"),
         ({"name: four": "name: my robot"}, r"line 2: name must be text of the form .*, got 'my robot'"),
         ({"home: 0.4": "home: '0.4'"}, r"line 9: joints.j1.home must be a number, got '0.4'"),
         ({"home: 0.4": "limits: [1, -1]"}, r"line 9: joints.j1.limits go from 1 to -1: give the lower one first"),
         (
             {"home: 0.4": "limits: [-90, 90]"},
-            r"line 9: joints.j1.limits go from -90 to 90 rad, beyond the model's -1.5 to 1.5",
+            r"line 9: joints.j1.limits go from -90 to 90 rad, beyond the model's .*; write radians: -90 deg is -1.571",
         ),
         (
             {"home: 0.4": "mirror: j1"},
@@ -257,6 +259,19 @@ def test_an_unknown_robot_is_answered_with_the_nearest(tmp_path):
         load_robot("op4")
     with pytest.raises(ValueError, match=r"there is no robot file nowhere/arn\.yaml; the nearest is 'arm'"):
         load_robot("nowhere/arn.yaml")
+    with pytest.raises(
+        ValueError, match=r"arm\.xml is a model; a robot file is .* with format: op3-robot/1, .* arm\.xml"
+    ):
+        load_robot("arm.xml")
+
+
+def test_angles_in_degrees_are_noticed_where_the_model_has_no_range(tmp_path):
+    """Nothing else would contradict them."""
+    path = write_robot(tmp_path, "four", {"home: 0.4": "limits: [-90, 90]"})
+    model = tmp_path / "four.xml"
+    model.write_text(re.sub(r' range="[^"]*"', "", model.read_text()))
+    with pytest.raises(ValueError, match=r"beyond a turn either way .* write radians: -90 deg is -1\.571"):
+        load_robot(path)
 
 
 def test_unknown_joints_are_answered_with_the_nearest():

@@ -133,7 +133,8 @@ def spikes(view: View) -> Found:
             often = sent and (size > 0.5 * size[row - 1]).sum() > 3  # jumps belong to the motion
             if size[row - 1] > least and not often:
                 what, where, aside = "a target" if sent else "a single reading", (key, index), not (sent or angle)
-                problem = f"{what} of {column[row]:.4g} lies between {column[row - 1]:.4g} and {column[row + rows]:.4g}"
+                beside = f"{column[row - 1]:.4g} and {column[row + rows]:.4g}"
+                problem = f"{what} of {column[row]:.4g} is far from its neighbours {beside}"
                 yield view.found(where, problem, "remove the row", row, row + rows - 1, aside=aside)
                 break
 

@@ -23,12 +23,8 @@ from op3.rollout.guess import guess, guess_all
 from op3.rollout.match import step
 from op3.rollout.readers.reader import Column, Recording, Stream, needed
 from op3.rollout.readers.text import numbers, read_json
-from op3.rollout.units import canonical
+from op3.rollout.units import COUNTS, TURN_COUNTS, canonical
 
-_TURN = 4096
-"""Encoder counts per turn."""
-
-_COUNTS = f"counts of {_TURN} a turn"
 _CHECK = "unit of LeRobot"
 _NORMAL = 100.5
 """Largest normalised value: 100 with a small margin."""
@@ -203,8 +199,8 @@ def _grids(unit: str, counts: float) -> tuple[float, ...]:
     """Size of an encoder count in a unit; LeRobot divides a turn by one count less."""
     turn = {"deg": 360.0, "rad": 2 * math.pi}.get(unit)
     if turn is not None:
-        return turn / (_TURN - 1), turn / _TURN
-    return ({"normalised": 200.0, "percent": 100.0}[unit] / counts,) if counts and unit != _COUNTS else ()
+        return turn / (TURN_COUNTS - 1), turn / TURN_COUNTS
+    return ({"normalised": 200.0, "percent": 100.0}[unit] / counts,) if counts and unit != COUNTS else ()
 
 
 def _misfit(unit: str, joints: Mapping[str, np.ndarray], ranges: Mapping[str, _Range]) -> float:
@@ -228,8 +224,8 @@ def _body_unit(
     most = np.array([np.abs(values).max() for values in joints.values()] or [0.0])
     if most.max() > 360 and not any((values % 1).any() for values in joints.values()):
         why = f"whole numbers of up to {most.max():g}"
-        problem = f"{why} are assumed to be {_COUNTS}"
-        return _COUNTS, why, LogFinding(WARNING, problem, "write `unit:` if the servo's unit differs", check=_CHECK)
+        problem = f"{why} are assumed to be {COUNTS}"
+        return COUNTS, why, LogFinding(WARNING, problem, "write `unit:` if the servo's unit differs", check=_CHECK)
     units = ["deg"]
     if np.quantile(most, 0.75) < 2 * math.pi and most.max() < 8 * math.pi:
         units.append("rad")
@@ -241,7 +237,7 @@ def _body_unit(
         unit = min(on, key=apart.__getitem__)
         return unit, f"all joints lie on the grid of encoder counts, {apart[unit]:.2g} steps off", None
     beyond = [joint for joint, known in ranges.items() if joint in joints and known.counts]
-    beyond = [j for j in beyond if np.abs(joints[j]).max() > 1.05 * 180 * ranges[j].counts / _TURN]
+    beyond = [j for j in beyond if np.abs(joints[j]).max() > 1.05 * 180 * ranges[j].counts / TURN_COUNTS]
     if beyond and "normalised" in units:
         return "normalised", f"in degrees {beyond[0]} would exceed its range", None
     if most.max() > _NORMAL:
@@ -292,7 +288,7 @@ def _units(
     doubts = [replace(doubt, column=column)] if doubt else []
     for name, column in angles.items():
         joint = joint_of[name]
-        span = 2 * math.pi / _TURN * ranges.get(joint, _Range()).counts
+        span = 2 * math.pi / TURN_COUNTS * ranges.get(joint, _Range()).counts
         if named[name] is not None:
             meanings[name] = Column(column.name, named[name], why=f"the name states {named[name]}")
         elif joint in hands and span:
