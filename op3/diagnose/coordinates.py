@@ -67,6 +67,11 @@ class Coordinate:
     tails: float = inf
 
     @property
+    def zero(self) -> float:
+        """The value at which the parameter itself is zero."""
+        return -1.0 if self.kind == "scale" else 0.0
+
+    @property
     def shared(self) -> bool:
         """Whether it applies to several joints."""
         return self.joints is None or len(self.joints) > 1
@@ -269,8 +274,8 @@ def with_robot_spread(
             entries[i] = replace(entries[i], deviation=deviation)
         point[servos] = (1 + point[servos]) / (1 + median) - 1
         for i in (i for i in indices if entries[i].joints is None):
-            unit = 0.0 if entries[i].kind == "value" else 1.0  # a scale of 0 is a factor of 1
-            point[i] = (unit + point[i]) * (1 + median) - unit
+            zero = entries[i].zero
+            point[i] = (point[i] - zero) * (1 + median) + zero
     return replace(coordinates, entries=tuple(entries)), point
 
 
@@ -321,9 +326,10 @@ def _bounds(p: Parameter, value: float) -> tuple[float, float]:
 def _common_factor(p: Parameter, values: np.ndarray) -> list[Coordinate]:
     """A common factor on values that differ between joints, so that joints without the effect remain without it.
 
-    Parameters without a neutral value, such as a phase, are not fitted.
+    Two kinds of parameters are not fitted: angles, and efficiencies, because a factor would change the joints without
+    losses too.
     """
-    if p.neutral != 0.0 and p.name not in SPREAD:
+    if p.neutral not in (None, 0.0) or (p.neutral is None and p.least < 0.0):
         return []
     largest = float(values[np.abs(values).argmax()])
     low, high = sorted(bound / largest - 1.0 for bound in _bounds(p, largest))

@@ -381,8 +381,9 @@ class Reduction:
         shared parameters, ``[joint, window]``."""
         s, extra = self.settings, 0.0
         for entry, value, column in zip(linear.coordinates.entries, linear.point, linear.jacobian, strict=True):
-            if entry.joints is None and entry.kind == "value" and entry.low >= 0:  # relative changes
-                change = np.square(s.edge_share * value * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
+            if entry.joints is None and entry.kind != "add" and entry.low >= entry.zero:  # relative changes
+                relative = s.edge_share * (value - entry.zero)
+                change = np.square(relative * column[..., self.kinds < 2].astype(np.float64)).mean(-1)
                 extra = extra + np.maximum(change - np.quantile(change, 0.75, axis=1, keepdims=True), 0.0)
         return s.edge**2 * np.minimum(extra, 0.9 * MAX_VARIANCE)
 

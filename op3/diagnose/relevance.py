@@ -47,7 +47,7 @@ def relevance(reduction: Reduction, base: Baseline, index: int, rows: Rows, rela
     def change(number: int) -> tuple[np.ndarray, np.ndarray]:
         """Change of the rows caused by an effect, ``[joint, window, row]``, and its RMS torque ``[joint]`` [N m]."""
         entry = base.coordinates.entries[number]
-        neutral = parameter(entry.parameter).neutral or 0.0 if entry.kind == "value" else 0.0
+        neutral = parameter(entry.parameter).neutral or 0.0 if entry.kind == "value" else entry.zero
         rows_change = base.linear.jacobian[number].astype(np.float64) * (base.point[number] - neutral)
         square = np.square(rows_change[..., reduction.kinds == 0]).mean((1, 2))
         return rows_change, np.sqrt(square / PIECES) * reduction.torque_unit
@@ -81,5 +81,5 @@ def gear_coordinates(effect: type[Effect], base: Baseline) -> list[Coordinate]:
         return []
     laws = [law for law in base.coordinates.model.effects if law.stage in GEAR and effect.related({law.name})]
     names = {p.name for law in laws for p in law.parameters if p.neutral is not None}
-    shared = [entry for entry in base.coordinates.entries if entry.joints is None and entry.kind == "value"]
+    shared = [entry for entry in base.coordinates.entries if entry.joints is None and entry.kind != "add"]
     return [entry for entry in shared if entry.parameter in names]

@@ -177,17 +177,18 @@ def search(
     options = [replace(coordinates, model=form) for form in forms] or [coordinates]
     shared = [i for i, entry in enumerate(coordinates.entries) if entry.joints is None]
     low, high, start = coordinates.low[shared], coordinates.high[shared], coordinates.start[shared]
-    positive = (low >= 0) & (start > 0)
-    bottom = np.where(positive, np.maximum(low, start / WIDEST), low)
+    zero = np.array([coordinates.entries[i].zero for i in shared])
+    positive = (low >= zero) & (start > zero)
+    bottom = np.where(positive, np.maximum(low, zero + (start - zero) / WIDEST), low)
     with np.errstate(divide="ignore", invalid="ignore"):
-        lower, upper, initial = (np.where(positive, np.log(x), x) for x in (bottom, high, start))
+        lower, upper, initial = (np.where(positive, np.log(x - zero), x) for x in (bottom, high, start))
 
     def costs_of(samples: Sequence, stretch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Costs, points and forms of samples."""
         x = lower + np.array([numbers for numbers, _ in samples]) * (upper - lower)
         form = np.array([choice.argmax() for _, choice in samples]) % len(options)
         points, cost = np.tile(coordinates.start, (len(x), 1)), np.zeros(len(x))
-        points[:, shared] = np.clip(np.where(positive, np.exp(np.where(positive, x, 0.0)), x), low, high)
+        points[:, shared] = np.clip(np.where(positive, zero + np.exp(np.where(positive, x, 0.0)), x), low, high)
         for number, option in enumerate(options):
             if (rows := form == number).any():
                 cost[rows] = robust_costs(reduction.errors_at(option, points[rows], stretch), reduction.limbs).sum(0)

@@ -104,16 +104,28 @@ def test_rates_show_an_encoder_that_bends_and_no_friction(lag):
     assert rubs[:, 4].max() < 0.3
 
 
-def test_rotors_that_hardly_differ_leave_torques_as_open():
-    """What sensors tell of torques goes by the rotors' inertia, whether joints share it or each has its own."""
+def test_values_that_hardly_differ_between_joints_are_fitted_like_a_shared_value():
+    """The same resolution of torques, the same unreliable windows, and a common factor in place of the value."""
     shared, logs = with_chain(load_model("paper")), planned_suite(load_model("paper"), leg_suite(3, 2.5)[:1])
-    own = {joint: shared.value("armature") * (1 + 1e-6 * k) for k, joint in enumerate(LEG_JOINTS)}
-    variances = []
-    for model in (shared, shared.with_values({"armature": Estimate(shared.value("armature"), joints=own)})):
+    names = ("armature", "coulomb_friction", "stribeck_velocity", "viscous_friction")
+    own = {
+        name: Estimate(
+            shared.value(name), joints={j: shared.value(name) * (1 + 1e-6 * k) for k, j in enumerate(LEG_JOINTS)}
+        )
+        for name in names
+    }
+    fits = []
+    for model in (shared, shared.with_values(own)):
         reduction = Reduction(WindowResiduals(logs, windows=8))
         coordinates = base_coordinates(model, reduction.engine.joints, reduction.moving)
-        variances.append(np.concatenate(reduction.linearise(coordinates, coordinates.start).variance))
-    assert variances[1] == pytest.approx(variances[0], rel=1e-2)
+        linear = reduction.linearise(coordinates, coordinates.start)
+        kinds = {entry.parameter: entry.kind for entry in coordinates.entries if entry.joints is None}
+        fits.append((np.concatenate(linear.variance), reduction.rows(linear).variance, kinds))
+    (torques, rows, _), (other_torques, other_rows, kinds) = fits
+    assert [kinds[name] for name in names] == ["scale"] * len(names)
+    assert other_torques == pytest.approx(torques, rel=1e-2)
+    unreliable = np.isfinite(rows) & (rows > 2 * np.median(rows))
+    assert np.median(other_rows[unreliable] / rows[unreliable]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_limb_that_moves_alone_is_simulated_alone():
