@@ -312,8 +312,14 @@ def with_sound_spread(coordinates: Coordinates, settings: Settings) -> Coordinat
 
 
 def _bounds(p: Parameter, value: float) -> tuple[float, float]:
-    """Bounds of a parameter: the catalogue's range widened by a quarter, or a range around a value outside it."""
+    """Bounds of a parameter: the catalogue's range widened by a quarter, or a range around a value outside it.
+
+    A range of positive values without a neutral one is widened by a factor: near zero, a Stribeck velocity has no
+    influence, and no step would lead back.
+    """
     if p.low <= value <= p.high:
+        if p.neutral is None and p.low > 0.0:
+            return max(p.low / 1.25, p.least), min(1.25 * p.high, p.most)
         margin = 0.25 * (p.high - p.low)
         low = p.low - margin if p.neutral is None else min(p.low - margin, p.neutral)
         return max(low, p.least), min(p.high + margin, p.most)

@@ -128,6 +128,15 @@ def test_values_that_hardly_differ_between_joints_are_fitted_like_a_shared_value
     assert np.median(other_rows[unreliable] / rows[unreliable]) == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_stribeck_velocity_cannot_vanish():
+    """A fit that reached zero would not return, because Stribeck friction has no influence there."""
+    model = load_model("paper")
+    coordinates = base_coordinates(with_chain(model), LEG_JOINTS)
+    (entry,) = [entry for entry in coordinates.entries if entry.parameter == "stribeck_velocity"]
+    known = model.parameters()["stribeck_velocity"]
+    assert (entry.low, entry.high) == pytest.approx((known.low / 1.25, 1.25 * known.high))
+
+
 def test_a_limb_that_moves_alone_is_simulated_alone():
     """Of a robot of several limbs, with values joint by joint."""
     model = with_chain(load_model("paper"))
