@@ -106,7 +106,7 @@ def op3() -> Callable[..., tuple[int, str]]:
         (["train", "recipe=wlak"], "recipe=wlak: there is no 'wlak' in the group recipe; the nearest is 'walk'"),
         (
             ["design", "robot=spot"],
-            "there is no robot 'spot'; there are arm, bench, op3, quadruped; give a valid name or the path",
+            "there is no robot 'spot'; there are arm, bench, op3, quadruped; give a name or a path",
         ),
         (["design", "joints=[knee]"], "unknown joint 'knee' of op3; the nearest is 'r_knee'"),
         (["design", "mounts=[table]"], "mounts.0 must be one of 'floor' or 'stand', got 'table'"),

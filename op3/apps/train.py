@@ -280,10 +280,7 @@ def main(cfg: DictConfig) -> Trained:
         policy = PolicyBundle.load(folder / "policy")
         # episodes differ from those that selected the policy
         final, states = episode(judge, policy, cfg.evaluation.final_seed, judge_task.steps)
-        files = {
-            "policy/manifest.yaml": "the policy bundle",
-            "checkpoint.pt": "the checkpoint from which resume= continues",
-        }
+        files = {"policy/manifest.yaml": "the policy bundle", "checkpoint.pt": "from which resume= continues"}
         rate, video = 1.0 / (FRAME_EVERY * judge.policy_period), folder / "episode.mp4"
         if cfg.evaluation.video and film(judge.scene, states, video, rate, follow=judge_task.cycle is not None):
             files["episode.mp4"] = "a video of one episode of the kept policy"

@@ -89,7 +89,7 @@ def robot_file(name: str | Path) -> Path:
         raise ValueError(f"{path} is a model; a robot file is a .yaml beside it with {begin} (docs/your_robot.md)")
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(
-            f"there is no robot {str(name)!r}{nearest(str(name), known)}; give a valid name or the path of a .yaml"
+            f"there is no robot {str(name)!r}{nearest(str(name), known)}; give a name or a path to a .yaml"
         )
     if not path.is_file():
         beside = difflib.get_close_matches(str(path), map(str, path.parent.glob("*.yaml")), n=1)

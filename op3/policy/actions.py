@@ -69,8 +69,7 @@ class ActionMap:
         ):
             if not lowest <= low < high <= highest:
                 raise ValueError(
-                    f"action map: {joint} ranges from {low} to {high} rad; the range must increase and lie within"
-                    f" [{lowest}, {highest}]"
+                    f"action map: {joint} ranges from {low} to {high} rad; it must rise within [{lowest}, {highest}]"
                 )
         if (self.gain_low is None) != (self.gain_high is None):
             raise ValueError("action map: give both gain_low and gain_high, or neither")
@@ -268,6 +267,5 @@ class ActionMap:
     def _check(self, values: Any, size: int, name: str) -> None:
         if not values.ndim or values.shape[-1] != size:
             raise ValueError(
-                f"{name} of {len(self.joints)} joints must have {size} numbers, got an array of shape"
-                f" {tuple(values.shape)}"
+                f"{name} of {len(self.joints)} joints must have {size} numbers, got shape {tuple(values.shape)}"
             )

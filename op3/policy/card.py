@@ -96,9 +96,7 @@ class Card:
         except yaml.YAMLError as error:
             raise ValueError(f"policy card: invalid YAML ({' '.join(str(error).split())})") from None
         if len(documents) != 2 or not isinstance(documents[1], dict):
-            raise ValueError(
-                "policy card: it must consist of a line WALKS, STANDS or FALLS, a line ---, and the card's fields"
-            )
+            raise ValueError("policy card: it must have a line WALKS, STANDS or FALLS, a line ---, and the fields")
         verdict, fields = documents
         if fields.pop("format", None) != FORMAT:
             raise ValueError(f"policy card: format must be {FORMAT!r}")

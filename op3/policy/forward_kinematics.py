@@ -104,9 +104,7 @@ def leg_kinematics(robot: Robot, device: torch.device = PROCESSOR) -> Chains:
         ValueError: if it has no feet, or legs of different numbers of joints.
     """
     if not robot.legs or len({len(leg) for leg in robot.legs}) != 1:
-        raise ValueError(
-            f"key points need feet on legs with equal numbers of joints; {robot.name} has {len(robot.legs)} feet"
-        )
+        raise ValueError(f"key points need legs with equal numbers of joints; {robot.name} has {len(robot.legs)} feet")
     data, file = _at_zero(robot), robot.file
     points = [data.site(n).xpos for n in file.key_points] or [data.body(n).xpos for n in file.feet]
     with device:

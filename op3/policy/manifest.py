@@ -130,8 +130,7 @@ class Manifest:
         made, here = load_robot(self.action_map.robot).name, load_robot(robot).name
         if made != here:
             raise ValueError(
-                f"the policy was trained for the robot {made}, but this robot is {here}; use a policy trained for"
-                f" {here}"
+                f"the policy was trained for the robot {made}, but this one is {here}; use a policy for {here}"
             )
 
     def to_yaml(self) -> str:

@@ -55,9 +55,7 @@ class Mirror:
         if alone := [name for name in joints if images[name][0] not in joints]:
             raise ValueError(f"{alone[0]} has no mirror image: its partner {images[alone[0]][0]} is not controlled")
         if alone := [name for name, signs in commands.items() if signs is None]:
-            raise ValueError(
-                f"the command {alone[0]} has no known mirror image: add an attribute mirror = (<signs>) to its class"
-            )
+            raise ValueError(f"the command {alone[0]} has no known mirror image: add mirror = (<signs>) to its class")
         partner = [joints.index(images[name][0]) for name in joints]
         gains = action_map.size - len(joints)
         self._action = torch.tensor([*partner, *(len(joints) + i for i in partner[:gains])])

@@ -143,8 +143,7 @@ def find(name: Any, home: ModuleType, where: str) -> Callable[..., Any]:
         known = {re.sub(r"(?<!^)(?=[A-Z])", "_", key).lower(): getattr(home, key) for key in home.__all__}
         if name not in known:
             raise ValueError(
-                f"{where}: there is no term {name!r}{nearest(name, known)}; give a valid name, or function:"
-                " package.name"
+                f"{where}: there is no term {name!r}{nearest(name, known)}; or give function: package.name"
             )
         return known[name]
     return imported(name, f"{where}.function")

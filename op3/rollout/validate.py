@@ -81,11 +81,7 @@ def _check_tensor(channel: Channel, value: object, batch: list[int], metadata: M
     wanted = [*batch, width_of(channel, metadata) or max(1, *value.shape[-1:])]
     if list(value.shape) != wanted:
         problem = f"the shape is {list(value.shape)} instead of {wanted}"
-        raise LogError(
-            problem,
-            "give one row for each time, and one number for each name of the last axis (for example, each joint)",
-            column=column,
-        )
+        raise LogError(problem, "give a row for each time, and a number for each joint or other name", column=column)
 
 
 def check_values(channel: Channel, values: np.ndarray, metadata: Metadata, before: int = 0) -> None:

@@ -97,9 +97,7 @@ class Task:
 
     def __post_init__(self):
         if twice := set(self.terms("rewards")) & set(self.terms("shaping")):
-            raise ValueError(
-                f"task {self.name}: {min(twice)!r} is a term of both rewards and shaping; rename one of them"
-            )
+            raise ValueError(f"task {self.name}: {min(twice)!r} is a term of both rewards and shaping; rename one")
         for kind, terms in (("rewards", self.reward_terms), ("observations", self.terms("observations"))):
             if not terms:
                 raise ValueError(f"task {self.name}: {kind} has no term; give at least one")
@@ -174,9 +172,7 @@ class Task:
         for name, spec in self.terms("privileged").items():
             term = find(spec.get(FUNCTION, name), privileged, f"privileged.{name}")
             if not hasattr(term, "mirror"):
-                raise ValueError(
-                    f"privileged.{name}: add an attribute mirror = (<a sign for each of its numbers>) to the function"
-                )
+                raise ValueError(f"privileged.{name}: the function needs mirror = (<a sign for each of its numbers>)")
             signs += term.mirror
         return tuple(signs)
 
@@ -204,9 +200,7 @@ class Task:
         """Raise a ValueError that begins with the policy's name if the policy does not fit the task."""
         made, here = manifest.action_map.robot, load_robot(self.robot)
         if load_robot(made).name != here.name:
-            raise ValueError(
-                f"{name} was trained for the robot {made}, but the task's robot is {here.name}; add robot={made}"
-            )
+            raise ValueError(f"{name} was trained for the robot {made}, the task is for {here.name}; add robot={made}")
         layout = self.observer(manifest.action_map.size).layout
         try:
             manifest.check_fits(layout, self.history, 1 / CONTROL_PERIOD, 1 / POLICY_PERIOD)

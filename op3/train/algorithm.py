@@ -166,8 +166,7 @@ class Algorithm(nn.Module, ABC):
             raise ValueError(
                 f"the initial policy has hidden layers {list(known.hidden)} ({known.activation}) and "
                 f"{known.observation_size} observations, but this run has {list(chosen.hidden)} ({chosen.activation})"
-                " and "
-                f"{self.observation_size}; use the settings with which the policy was trained"
+                f" and {self.observation_size}; use the settings with which the policy was trained"
             )
         with torch.no_grad():
             for name, value in here.items():

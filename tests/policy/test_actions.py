@@ -100,7 +100,7 @@ def test_impossible_maps_are_refused(change, message):
 
 def test_wrong_sizes_are_refused():
     """An action of 10 numbers is refused, and the message carries both numbers."""
-    with pytest.raises(ValueError, match=r"has 20 numbers, got an array of shape \(10,\)"):
+    with pytest.raises(ValueError, match=r"must have 20 numbers, got shape \(10,\)"):
         MAP.targets(np.zeros(10))
 
 

@@ -253,9 +253,7 @@ def test_an_unknown_robot_is_answered_with_the_nearest(tmp_path):
     (tmp_path / "my_arm.yaml").touch()
     with pytest.raises(ValueError, match=r"my_arms\.yaml; the nearest is '.*my_arm\.yaml'; correct the path"):
         load_robot(str(tmp_path / "my_arms.yaml"))
-    with pytest.raises(
-        ValueError, match="there is no robot 'op4'; the nearest is 'op3'; give a valid name or the path"
-    ):
+    with pytest.raises(ValueError, match="there is no robot 'op4'; the nearest is 'op3'; give a name or a path"):
         load_robot("op4")
     with pytest.raises(ValueError, match=r"there is no robot file nowhere/arn\.yaml; the nearest is 'arm'"):
         load_robot("nowhere/arn.yaml")

@@ -17,10 +17,7 @@ class Payload(Effect):
     parameters = (Parameter("base_mass_offset", "kg", 0.0, 0.5, 0.25, 0.0, "added to the base link", per_joint=False),)
     edits = (ModelEdit("body_mass", "base_body", "add", "base_mass_offset"),)
     secants = ({"base_mass_offset": 0.1},)
-    fingerprint = (
-        "in phase with gravity, with a fixed ratio over all joints that carry the base link; it may change between"
-        " recordings"
-    )
+    fingerprint = "in phase with gravity, in a fixed ratio in all joints that carry the base; may differ by recording"
     confounders = ("com_offset", "link_mass", "torque_constant")
     separating_experiment = "recordings with and without a known added mass, and in two orientations of the base"
 
@@ -44,9 +41,7 @@ class CentreOfMassOffset(Effect):
     secants = ({"base_com_offset_x": 0.005}, {"base_com_offset_z": 0.005})
     fingerprint = "in phase with the base link's gravity torque, with a direction that changes with the pose"
     confounders = ("payload", "encoder_offset", "cable_spring", "imu_mount", "ground_tilt")
-    separating_experiment = (
-        "two orientations of the base, because gravity turns with it but a spring does not; a known added mass"
-    )
+    separating_experiment = "two orientations of the base: gravity turns with it, a spring does not; a known added mass"
 
 
 @register
@@ -59,9 +54,7 @@ class LinkInertia(Effect):
     name = "link_inertia"
     stage = Stage.BODY
     equation = "J_link += m_link k^2"
-    source = (
-        "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2, so the range covers discs of up to 0.16 m"
-    )
+    source = "rigid body; a disc of radius r about its axis has k^2 = r^2 / 2; the range covers discs of up to 0.16 m"
     parameters = (Parameter("gyration_squared", "m^2", 0.0, 0.0125, 0.0, 0.0, "squared radius of gyration added, k^2"),)
     # no weight is a point: the most compact, a steel ball of 0.2 to 1 kg, has k^2 = 2/5 r^2 = 1.3e-4 to 3.9e-4 m^2;
     # discs, screws and the arm add to it. With a single weight it is not distinguishable from the rotor's inertia
@@ -110,7 +103,5 @@ class LinkCentreOfMass(Effect):
     secants = ({"link_com_offset_x": 0.005}, {"link_com_offset_y": 0.005}, {"link_com_offset_z": 0.005})
     fingerprint = "in phase with gravity, with a phase that turns with the pose, in all joints that carry the link"
     confounders = ("encoder_offset", "link_mass", "cable_spring", "current_offset")
-    separating_experiment = (
-        "two orientations of the base, because gravity turns with it but a spring does not; IMU against kinematics"
-    )
+    separating_experiment = "two orientations of the base: gravity turns with it, a spring does not; IMU and kinematics"
     scopes = ("joint",)

@@ -52,9 +52,7 @@ class Latency(Effect):
     name = "latency"
     stage = Stage.TRANSPORT
     equation = "u(t) -> u(t - d)"
-    source = (
-        "one read and one write of twenty servos take 3 ms or more at 2 Mbit/s; range chosen by us: two control periods"
-    )
+    source = "reading and writing twenty servos at 2 Mbit/s takes 3 ms; range of two control periods chosen by us"
     parameters = (
         Parameter("command_latency", "s", 0.0, 0.016, 0.006, 0.0, "time from reading sensors to torque", least=0.0),
     )
@@ -65,9 +63,7 @@ class Latency(Effect):
     secants = ({"command_latency": 0.001}, {"command_latency": -0.001}, {"command_latency": 0.004})
     fingerprint = "proportional to the rate of change of the command; the same time shift at every frequency"
     confounders = ("current_lag", "velocity_filter", "packet_drop")
-    separating_experiment = (
-        "chirp of the command above 20 Hz at low and high gain: a delay has linear phase, a lag reduces the amplitude"
-    )
+    separating_experiment = "chirp above 20 Hz at two gains: a delay has linear phase, a lag reduces the amplitude"
     scopes = ("joint", "shared")
 
     longest: float = 0.024
@@ -199,17 +195,13 @@ class MinimumDuty(Effect):
     name = "minimum_duty"
     stage = Stage.DRIVER
     equation = "V += V_bus d0 sign(V) (1 - exp(-|V| / (V_bus d1))), |V| <= V_bus"
-    source = (
-        "start-up duty (Feetech's memory table, minimum startup force); its shape is our own, from Rhoban's servo bench"
-    )
+    source = "start-up duty (Feetech's memory table, minimum startup force); shape from Rhoban's servo bench"
     parameters = (
         Parameter("minimum_duty", "-", 0.0, 0.15, 0.03, 0.0, "duty added, d0", least=0.0),
         Parameter("minimum_duty_fade", "-", 0.01, 0.3, 0.08, None, "duty at which 63 % of d0 is added, d1", least=1e-4),
     )
     secants = ({"minimum_duty": 0.02, "minimum_duty_fade": 0.03}, {"minimum_duty": 0.02, "minimum_duty_fade": 0.15})
-    fingerprint = (
-        "has the sign of the duty: rises from zero duty, is constant at larger duties, and vanishes at full duty"
-    )
+    fingerprint = "has the sign of the duty; rises from zero duty to a constant value, and vanishes at full duty"
     confounders = ("coulomb", "stribeck", "terminal_resistance")
     separating_experiment = "small steps of the goal from rest at two bus voltages"
     scopes = ("joint", "shared")

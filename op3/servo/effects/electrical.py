@@ -216,9 +216,7 @@ class CurrentOffset(Effect):
     secants = ({"current_offset": 0.01},)
     fingerprint = "a constant torque in all poses, in both directions and at rest"
     confounders = ("asymmetric_friction", "cable_spring", "link_com", "encoder_offset")
-    separating_experiment = (
-        "two orientations of the base, because gravity turns with it but the offset does not; current with torque off"
-    )
+    separating_experiment = "two orientations of the base: gravity turns, the offset does not; current with torque off"
 
     @staticmethod
     def apply(s, p):

@@ -111,9 +111,7 @@ class BearingFriction(Effect):
     name = "bearing_friction"
     stage = Stage.FRICTION
     equation = "tau_fric += kb F_r |w|"
-    source = (
-        "our own: on Rhoban's servo bench, damping grows with the weight carried; the range contains the fitted values"
-    )
+    source = "our own: on Rhoban's servo bench, damping grows with the weight; the range contains the fits"
     parameters = (Parameter("bearing_friction", "m s/rad", 0.0, 0.001, 0.0001, 0.0, "kb, per radial force", least=0.0),)
     reads = ("radial_force",)
     secants = ({"bearing_friction": 5e-5},)
@@ -166,9 +164,7 @@ class QuadraticDrag(Effect):
     name = "quadratic_drag"
     stage = Stage.FRICTION
     equation = "tau_fric += c w^2"
-    source = (
-        "churning loss of a gear box; range chosen by us: at 3 rad/s, its upper end equals that of Coulomb friction"
-    )
+    source = "churning loss of a gear box; range chosen by us: at 3 rad/s up to that of Coulomb friction"
     parameters = (Parameter("quadratic_drag", "N m s^2/rad^2", 0.0, 0.03, 0.0, 0.0, "c", least=0.0),)
     secants = ({"quadratic_drag": 0.005},)
     fingerprint = "odd in velocity and growing faster than linearly"

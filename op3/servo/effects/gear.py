@@ -40,9 +40,7 @@ class DirectionalEfficiency(Effect):
         Parameter("backward_efficiency", "-", 0.6, 1.0, 0.8, 1.0, "eta_bw, load drives", least=0.0, most=1.0),
     )
     secants = ({"backward_efficiency": -0.05}, {"backward_efficiency": -0.2})
-    fingerprint = (
-        "proportional to the load where the load drives (lowering, braking, landing), zero where the motor drives"
-    )
+    fingerprint = "proportional to the load where the load drives (lowering, landing), zero where the motor drives"
     confounders = ("load_friction", "directional_friction", "antagonistic_friction", "torque_constant", "payload")
     separating_experiment = (
         "hold test with two loads, slowly raised and lowered: with load friction, the hysteresis of the current "

@@ -12,9 +12,7 @@ class Cogging(Effect):
     name = "cogging"
     stage = Stage.GEAR
     equation = "tau += A sin(n q + phi)"
-    source = (
-        "gear mesh with n teeth in the last stages; ranges chosen by us; cogging of the rotor is too fast for a log"
-    )
+    source = "mesh of the last stages with n teeth; ranges chosen by us; the rotor's cogging is too fast for a log"
     parameters = (
         Parameter("cogging_amplitude", "N m", -0.05, 0.05, 0.0, 0.0, "A, at the joint"),
         Parameter("cogging_phase", "rad", -pi, pi, 0.0, None, "phi"),
@@ -51,9 +49,7 @@ class CableSpring(Effect):
     secants = tuple({"cable_stiffness": 0.05, "cable_rest_angle": angle} for angle in (-1.0, 0.0, 1.0))
     fingerprint = "a function of the angle, the same in both directions and at all orientations of the robot"
     confounders = ("link_com", "com_offset", "encoder_offset", "current_offset")
-    separating_experiment = (
-        "two orientations of the base, 90 degrees apart, because gravity turns with it but a spring does not"
-    )
+    separating_experiment = "orientations of the base 90 degrees apart: gravity turns with it, a spring does not"
     scopes = ("joint", "side")
 
     @staticmethod

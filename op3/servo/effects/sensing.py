@@ -20,13 +20,9 @@ class EncoderOffset(Effect):
     source = "homing of a servo horn; -0.126 rad fits the STS3032 on Rhoban's servo bench"
     parameters = (Parameter("encoder_offset", "rad", -0.2, 0.2, 0.0, 0.0, "reading at the joint's true zero"),)
     secants = ({"encoder_offset": 0.01},)
-    fingerprint = (
-        "a constant angle: the gravity torque has a shifted phase; foot pose and IMU disagree with the joint angles"
-    )
+    fingerprint = "a constant angle: the phase of the gravity torque is shifted; foot pose and IMU disagree with angles"
     confounders = ("link_com", "com_offset", "cable_spring", "current_offset", "encoder_nonlinearity")
-    separating_experiment = (
-        "two orientations of the base, because gravity turns with it; IMU against forward kinematics"
-    )
+    separating_experiment = "two orientations of the base: gravity turns with it; IMU against forward kinematics"
 
     @staticmethod
     def sense(s, p):

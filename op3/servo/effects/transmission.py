@@ -77,28 +77,8 @@ class Backlash(Effect):
     )
     parameters = (
         Parameter("backlash_half_gap", "rad", 0.0, 0.012, 0.0, 0.0, "delta, half of the backlash", least=0.0),
-        Parameter(
-            "contact_stiffness",
-            "N m/rad",
-            100.0,
-            500.0,
-            300.0,
-            None,
-            "K, of teeth in contact",
-            least=1.0,
-            searched=False,
-        ),
-        Parameter(
-            "output_inertia",
-            "kg m2",
-            0.0,
-            0.001,
-            0.0,
-            None,
-            "J_o, inertia after the backlash",
-            least=0.0,
-            searched=False,
-        ),
+        Parameter("contact_stiffness", "N m/rad", 100.0, 500.0, 300.0, None, "K, of teeth", least=1.0, searched=False),
+        Parameter("output_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after backlash", least=0.0, searched=False),
     )
     constants = ("stiffness", "friction")
     stiff = True
@@ -215,14 +195,10 @@ class Compliance(Effect):
     stage = Stage.TRANSMISSION
     rank = 1
     equation = "tau = (q_rotor - q) / c"
-    source = (
-        "spring and damper between rotor and link; stiffness of at least 50 N m/rad and loss factor 0.08, chosen by us"
-    )
+    source = "spring and damper between rotor and link; stiffness from 50 N m/rad and loss factor 0.08 chosen by us"
     parameters = (
         Parameter("gear_compliance", "rad/(N m)", 0.0, 0.02, 0.0, 0.0, "c = 1 / K", least=0.0),
-        Parameter(
-            "wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, inertia after the spring", least=0.0, searched=False
-        ),
+        Parameter("wheel_inertia", "kg m2", 0.0, 0.001, 0.0, None, "J_o, after the spring", least=0.0, searched=False),
     )
     acts_in = "backlash"
     stiff = True
@@ -232,9 +208,7 @@ class Compliance(Effect):
         {"gear_compliance": 0.008, "wheel_inertia": 0.0008},
         {"gear_compliance": 0.015, "wheel_inertia": 0.0005},
     )
-    fingerprint = (
-        "an extra resonance at sqrt(1 / (c J)); an angle error between IMU and kinematics in proportion to the load"
-    )
+    fingerprint = "an extra resonance at sqrt(1 / (c J)); IMU and kinematics differ in proportion to the load"
     confounders = ("backlash", "lugre", "current_lag", "link_inertia")
     separating_experiment = "increasing static loads, with an IMU or a camera; chirp up to the resonance"
 

@@ -26,9 +26,7 @@ class ImuMount(Effect):
     secants = ({"imu_roll": 0.02}, {"imu_pitch": 0.02}, {"imu_yaw": 0.02})
     fingerprint = "a constant error of the direction of gravity in all poses; rates appear on other axes"
     confounders = ("ground_tilt", "left_right_asymmetry", "com_offset", "gyro_bias")
-    separating_experiment = (
-        "recordings before and after turning the robot by 180 degrees on the spot: a tilt of the floor changes its sign"
-    )
+    separating_experiment = "recordings before and after a turn by 180 degrees: a tilt of the floor changes its sign"
 
     def sense_trunk(self, trunk: Trunk, values: Mapping[str, Tensor]) -> None:
         turns = [about(axis, values[f"imu_{name}"]) for axis, name in enumerate(("roll", "pitch", "yaw"))]
