@@ -125,5 +125,5 @@ def test_a_policy_for_another_loop_is_refused():
     with pytest.raises(ValueError, match=r"field gain_high of the policy's manifest is 50 A/rad.*limits\.p_gain"):
         PolicyRunner(bundle, robot="op3")
     PolicyRunner(bundle, p_gain=50.0, robot="op3")
-    with pytest.raises(ValueError, match="was trained for the robot op3, but this robot is arm; use a policy"):
+    with pytest.raises(ValueError, match="was trained for the robot op3, but this one is arm; use a policy for arm"):
         PolicyRunner(hold_policy(), robot="arm")

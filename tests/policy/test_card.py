@@ -67,7 +67,7 @@ def test_a_policy_without_a_card(bundle, tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "it must consist of a line WALKS, STANDS or FALLS, a line ---, and the card's fields"),
+        ("", "it must have a line WALKS, STANDS or FALLS, a line ---, and the fields"),
         ("RUNS\n---\n{format: op3-card/1, policy: x, task: walk, model: paper, robots: 1}", "verdict must be one of"),
         ("WALKS\n---\n{format: op3-card/0}", "format must be 'op3-card/1'"),
         ("WALKS\n---\n{format: op3-card/1, self_contact: 2", "invalid YAML"),

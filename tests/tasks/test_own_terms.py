@@ -183,7 +183,7 @@ def test_what_critics_alone_see(package, backend):
 
 def test_privileged_observations_that_cannot_be_are_named(package):
     """Without signs, or with other numbers than signs, one sentence names the term."""
-    with pytest.raises(ValueError, match=r"privileged\.mine: add an attribute mirror"):
+    with pytest.raises(ValueError, match=r"privileged\.mine: the function needs mirror"):
         make_env(find_task("walk", {"privileged.mine": {"function": "my_package.terms.wrong_shape"}}), num_envs=2)
     with pytest.raises(ValueError, match=r"there is no term 'base_heigt'.*base_height"):
         make_env(find_task("walk", {"privileged.base_heigt": {}}), num_envs=2)
