@@ -7,7 +7,8 @@ import numpy as np
 
 from op3.diagnose.coordinates import Coordinates, base_coordinates, with_chain, with_sound_spread
 from op3.diagnose.judge import CoefficientPriors, Judge, Posterior, Variances
-from op3.diagnose.reduction import Linearisation, Reduction
+from op3.diagnose.linearisation import Linearisation
+from op3.diagnose.reduction import Reduction
 from op3.servo import Estimate, RobotModel
 from op3.servo.conditions import split_name
 
@@ -222,7 +223,7 @@ def posterior_costs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """-2 log posterior of points under a fit's variances, without constants, ``[point]``, and the clipped points."""
     points = np.clip(points, coordinates.low, coordinates.high)
-    residuals = -reduction.reduce(linear.reducers, reduction.errors_at(coordinates, points))
+    residuals = -reduction.rows_at(linear.reducers, coordinates, points)
     valid = np.isfinite(judge.rows.variance)
     misfits = [judge.misfit(np.where(valid, residual, 0.0).astype(np.float64), fit) for residual in residuals]
     return np.array(misfits) + coordinates.penalties(points), points

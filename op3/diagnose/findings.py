@@ -12,6 +12,7 @@ from op3.diagnose.coordinates import Coordinates
 from op3.diagnose.doubts import at_bound, with_wider_bounds
 from op3.diagnose.held_out import Gain, HeldOut
 from op3.diagnose.judge import Judge, Rows, Variances, log_mass
+from op3.diagnose.linearisation import Column
 from op3.diagnose.naming import NamedEffect, NamingStage, Proposal, Refit, ScoredRefit, best_refit, coefficient_priors
 from op3.diagnose.reduction import COARSE, Reduction
 from op3.diagnose.relevance import gear_coordinates, relevance
@@ -62,7 +63,7 @@ class Search:
 
     def _columns(
         self, base: Baseline, parts: Sequence[Candidate], progress: Callable[[float], None] | None = None
-    ) -> dict[tuple, np.ndarray]:
+    ) -> dict[tuple, Column]:
         columns = self.reduction.columns(base.linear, parts, progress)
         return {candidate.key: column for candidate, column in zip(parts, columns, strict=True)}
 
@@ -71,7 +72,7 @@ class Search:
         base: Baseline,
         named: tuple[NamedEffect, ...],
         candidates: tuple[Candidate, ...],
-        columns: Mapping[tuple, np.ndarray],
+        columns: Mapping[tuple, Column],
         variances: Variances | None,
         rounds: int = 6,
         reference: Rows | None = None,

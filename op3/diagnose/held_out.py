@@ -94,7 +94,7 @@ class HeldOut:
             points += [
                 np.clip(point + fit.mean - step + draw, coordinates.low, coordinates.high) for draw in (0.0, *draws)
             ]
-        residuals = -reduction.reduce(base.linear.reducers, reduction.errors_at(coordinates, np.array(points)))
+        residuals = -reduction.rows_at(base.linear.reducers, coordinates, np.array(points))
         density = np.zeros((self.count, len(rows.joints)))
         residuals = residuals.reshape(-1, DRAWS + 1, *residuals.shape[1:])
         for of_fold, left_out in zip(residuals, self._folds, strict=True):

@@ -11,6 +11,7 @@ from op3.diagnose.coordinates import Coordinate
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge import CoefficientPriors, Judge, Posterior, Rows, Variances
 from op3.diagnose.judge_settings import SETTINGS, Settings
+from op3.diagnose.linearisation import Column
 from op3.diagnose.relevance import Relevance
 
 NEGLIGIBLE = 1e-6
@@ -112,7 +113,7 @@ class NamingStage:
         base: the fit, the coordinates of the named effects last.
         named: the named effects.
         candidates: all other candidates.
-        columns: columns of the elementary candidates, by key, ``[joint, window, row]``.
+        columns: columns of the elementary candidates, by key.
         judge: the linear model.
         fit: its posterior with no further effect.
     """
@@ -120,7 +121,7 @@ class NamingStage:
     base: Baseline
     named: tuple[NamedEffect, ...]
     candidates: tuple[Candidate, ...]
-    columns: Mapping[tuple, np.ndarray]
+    columns: Mapping[tuple, Column]
     judge: Judge
     fit: Posterior
 

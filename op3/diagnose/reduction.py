@@ -8,7 +8,6 @@ On a stand limbs are not coupled, so one simulation can include a change in one 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 
@@ -22,6 +21,7 @@ from op3.diagnose.coordinates import SPREAD_LIMIT, Coordinate, Coordinates
 from op3.diagnose.features import features
 from op3.diagnose.judge import Rows
 from op3.diagnose.judge_settings import FLOORS, MIN_WINDOWS, PIECES, SETTINGS, Settings
+from op3.diagnose.linearisation import Column, Linearisation
 from op3.diagnose.responses import (
     INITIAL,
     RATES,
@@ -55,29 +55,8 @@ delays, because their columns are very similar."""
 MAX_ERROR = 300.0
 """Numerical: range to which errors are clipped, because simulations may diverge [sensor floors]."""
 
-CHUNK = 40
-"""Budget: parameter sets simulated together; a batch of 72 windows of 20 joints holds 20 MB."""
-
-
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """The rows of all windows to first order around a point of the baseline.
-
-    Attributes:
-        coordinates: parameters of the baseline.
-        point: expansion point, ``[coordinate]``.
-        reducers: reduction of each limb.
-        variance: variance of the torques of each limb [torque units^2], ``[window, joint]``.
-        residual: rows at the point, measured minus predicted, ``[joint, window, row]``.
-        jacobian: derivatives of the prediction, ``[coordinate, joint, window, row]``.
-    """
-
-    coordinates: Coordinates
-    point: np.ndarray
-    reducers: tuple[Reducer, ...]
-    variance: tuple[np.ndarray, ...]
-    residual: np.ndarray
-    jacobian: np.ndarray
+CHUNK = 20
+"""Budget: parameter sets simulated together; a batch of 72 windows of 20 joints holds 10 MB."""
 
 
 class Reduction:
@@ -170,6 +149,25 @@ class Reduction:
         """Whitened errors at points ``[point, coordinate]``, as returned by `errors`."""
         return self.errors(coordinates.model, coordinates.values(points), len(points), stretch, limb)
 
+    def rows_at(
+        self,
+        reducers: Sequence[Reducer],
+        coordinates: Coordinates,
+        points: np.ndarray,
+        stretch: int = 1,
+        start: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Rows of the errors at points, or of their differences from the errors at a start, ``[point, joint, window,
+        row]``. Only one chunk of errors is kept at a time: they take seven times as much memory as rows."""
+        origin = None if start is None else self.errors_at(coordinates, start[None], stretch)
+        chunks = []
+        for begin in range(0, len(points), CHUNK):
+            error = self.errors_at(coordinates, points[begin : begin + CHUNK], stretch)
+            chunks.append(
+                self.reduce(reducers, error if origin is None else [e - o for e, o in zip(error, origin, strict=True)])
+            )
+        return np.concatenate(chunks)
+
     def linearise(
         self,
         coordinates: Coordinates,
@@ -202,8 +200,7 @@ class Reduction:
             pairs = zip(self.errors_at(coordinates, low), self.errors_at(coordinates, high), strict=True)
             changes[is_time] = self.reduce(reducers, [b - a for a, b in pairs]) / share[:, None, None, None]
         if (~is_time).any():
-            errors = self.errors_at(coordinates, np.concatenate([point[None], point + steps[~is_time]]), COARSE)
-            changes[~is_time] = self.reduce(reducers, [e[1:] - e[:1] for e in errors])
+            changes[~is_time] = self.rows_at(reducers, coordinates, point + steps[~is_time], COARSE, point)
         jacobian = np.zeros((len(point), *residual.shape), np.float32)
         for i, entry in enumerate(entries):
             jacobian[i] = columns.get(entry, 0.0)
@@ -296,10 +293,9 @@ class Reduction:
 
     def columns(
         self, linear: Linearisation, candidates: Sequence[Candidate], progress: Callable[[float], None] | None = None
-    ) -> np.ndarray:
-        """Changes of the rows caused by the secant of each elementary candidate, ``[candidate, joint, window,
-        row]``."""
-        result = np.zeros((len(candidates), *linear.residual.shape), np.float32)
+    ) -> list[Column]:
+        """Changes of the rows caused by the secant of each elementary candidate."""
+        result: list[Column] = [{} for _ in candidates]
         base = linear.coordinates.values(linear.point[None])
         models: dict[int, dict[tuple, list[int]]] = {}
         for i, candidate in enumerate(candidates):
@@ -309,42 +305,40 @@ class Reduction:
         for groups in models.values():
             for begin in range(0, len(groups), CHUNK - 1):
                 chunk = list(groups.values())[begin : begin + CHUNK - 1]
-                self._simulate(linear, candidates, chunk, base, result)
+                changes = self._simulate(linear, [[candidates[i] for i in group] for group in chunk], base)
+                for group, change in zip(chunk, changes, strict=True):
+                    for i in group:
+                        joints = np.flatnonzero(self._same_limb(candidates[i].joints))
+                        result[i] = {int(j): change[j] for j in joints}
                 done += len(chunk)
                 if progress is not None:
                     progress(done / sum(map(len, models.values())))
             self.forget()
         return result
 
-    def _simulate(
-        self, linear: Linearisation, candidates: Sequence[Candidate], groups: list[list[int]], base, result: np.ndarray
-    ) -> None:
-        """Columns of candidates of one model; each group is computed in one simulation."""
-        model = candidates[groups[0][0]].model
+    def _simulate(self, linear: Linearisation, groups: list[list[Candidate]], base) -> np.ndarray:
+        """Changes of the rows by groups of candidates of one model, ``[group, joint, window, row]``."""
+        model = groups[0][0].model
         parameters, start = model.parameters(), model.tensors(self.engine.joints) | base
         shared = {name for name in start if not parameters[name.split("@")[0]].per_joint}
         start = {n: value if n in shared else value.expand(1, self.count).clone() for n, value in start.items()}
         sets = [start]
         for group in groups:
             values = start
-            for i in group:
-                values = candidates[i].applied(values)
+            for candidate in group:
+                values = candidate.applied(values)
             sets.append(values)
         stacked = {name: torch.cat([values[name] for values in sets]) for name in sets[0]}
-        is_time = any(_is_time(name) for group in groups for name in candidates[group[0]].secant)
+        is_time = any(_is_time(name) for group in groups for name in group[0].secant)
         error = self.errors(model, stacked, len(sets), 1 if is_time else COARSE)
-        changes = self.reduce(linear.reducers, [e[1:] - e[:1] for e in error])
-        for change, group in zip(changes, groups, strict=True):
-            for i in group:
-                result[i] = change
-                result[i][~self._same_limb(candidates[i].joints)] = 0.0
+        return self.reduce(linear.reducers, [e[1:] - e[:1] for e in error])
 
-    def rows(self, linear: Linearisation, columns: Sequence[np.ndarray] = (), reference: Rows | None = None) -> Rows:
+    def rows(self, linear: Linearisation, columns: Sequence[Column] = (), reference: Rows | None = None) -> Rows:
         """Rows of the linear model.
 
         Args:
             linear: the linearised baseline.
-            columns: columns of elementary candidates, ``[joint, window, row]``.
+            columns: columns of elementary candidates.
             reference: rows whose variances are used, which makes evidences comparable.
         """
         torque, current, rate = (self.kinds // 2 == group for group in range(3))
@@ -360,9 +354,13 @@ class Reduction:
         variance = variance if reference is None else reference.variance
         coefficients, design = [], []
         for j in range(len(self.joint_indices)):
-            of_joint = np.stack([*linear.jacobian[:, j], *(column[j] for column in columns)])
-            coefficients.append(np.flatnonzero(np.abs(of_joint).max((1, 2)) > 0))
-            design.append(self.clipped(of_joint[coefficients[-1]]))
+            of_joint = [*enumerate(linear.jacobian[:, j])]
+            of_joint += [(i, column[j]) for i, column in enumerate(columns, len(linear.point)) if j in column]
+            of_joint = [(i, column) for i, column in of_joint if column.any()]
+            coefficients.append(np.array([i for i, _ in of_joint], int))
+            design.append(
+                self.clipped(np.array([column for _, column in of_joint]).reshape(-1, *linear.residual.shape[1:]))
+            )
         residual = np.where(np.isfinite(variance), linear.residual, 0.0)
         names = tuple(self.engine.joints[j] for j in self.joint_indices)
         return Rows(names, self.kinds, residual, variance, self.features, tuple(coefficients), tuple(design))

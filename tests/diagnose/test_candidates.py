@@ -68,7 +68,10 @@ def test_columns_stay_in_the_limb(reduction):
     coordinates = base_coordinates(model, LEG_JOINTS)
     linear = gauss_newton(reduction, coordinates, coordinates.start, steps=0).linear
     found = [c for c in all_candidates(model, LEG_JOINTS, EVERY, {}) if c.effect.name == "quadratic_drag"]
-    columns = {one.joints: column for one, column in zip(found, reduction.columns(linear, found), strict=True)}
+    columns = {
+        one.joints: np.stack([column[j] for j in range(len(LEG_JOINTS))])
+        for one, column in zip(found, reduction.columns(linear, found), strict=True)
+    }
     knee = LEG_JOINTS.index("r_knee")
     own = np.square(columns[(knee,)]).sum((1, 2))
     assert own.argmax() == list(reduction.joint_indices).index(knee)

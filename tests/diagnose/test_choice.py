@@ -32,8 +32,9 @@ from op3.diagnose.findings import Search
 from op3.diagnose.held_out import Gain
 from op3.diagnose.judge import CoefficientPriors, Posterior, Variances
 from op3.diagnose.judge_settings import Settings
+from op3.diagnose.linearisation import Linearisation
 from op3.diagnose.naming import NamedEffect, Rival, ScoredRefit, best_refit, probability_shares
-from op3.diagnose.reduction import Linearisation, Reduction
+from op3.diagnose.reduction import Reduction
 from op3.diagnose.relevance import Relevance
 from op3.diagnose.show import show
 from op3.diagnose.split import LogSplit

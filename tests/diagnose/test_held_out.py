@@ -83,8 +83,8 @@ def test_predictions_are_averaged_over_numbers_drawn_from_their_posterior(reduct
     than the mean lie as far from it as their posterior says: the mean square of whitened steps is their number."""
     coordinates = base_coordinates(with_chain(load_model("paper")), LEG_JOINTS, reduction.moving)
     base = gauss_newton(reduction, coordinates, coordinates.start, steps=0)
-    rows, held, at, drawn = reduction.rows(base.linear, ()), HeldOut(reduction), reduction.errors_at, []
-    monkeypatch.setattr(reduction, "errors_at", lambda own, points: drawn.append(points) or at(own, points))
+    rows, held, at, drawn = reduction.rows(base.linear, ()), HeldOut(reduction), reduction.rows_at, []
+    monkeypatch.setattr(reduction, "rows_at", lambda of, own, points: drawn.append(points) or at(of, own, points))
     densities = iter(np.tile([-1.0, -90.0, -90.0, -90.0], 10_000).tolist())
     monkeypatch.setattr("op3.diagnose.held_out.log_density", lambda *args: next(densities))
     assert held.density(base, rows) == pytest.approx(-1.0 - np.log(4))

@@ -9,7 +9,7 @@ import pytest
 from op3.diagnose import whole_runs
 from op3.diagnose.base import Baseline
 from op3.diagnose.coordinates import BENCH, CHAIN, Coordinates, base_coordinates, with_chain, with_setups
-from op3.diagnose.reduction import Linearisation
+from op3.diagnose.linearisation import Linearisation
 from op3.replay import Replay
 from op3.rollout import Metadata, Rollout
 from op3.sim import load_model
