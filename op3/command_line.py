@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if command not in COMMANDS:
         end(f"unknown command {command!r}{nearest(command, [*COMMANDS, 'doctor', 'completion'])}")
     app = COMMANDS[command]
-    if rest and not rest[0].startswith(("-", "~")) and (Path(rest[0]).exists() or "=" not in rest[0]):
+    if rest and not rest[0].startswith(("-", "~")) and (os.path.exists(rest[0]) or "=" not in rest[0]):
         if (asked := asked_for(app)) is None:
             longer = [name for name in COMMANDS if name.startswith(f"{command} ")]
             close = nearest(f"{command} {rest[0]}", longer) if longer else ""
@@ -241,7 +241,7 @@ def quoted(argument: str) -> str:
         return argument
     try:
         OverridesParser.create().parse_override(argument)
-        if not (Path(value).exists() and re.search(r"[\s=,()]", value)):
+        if not (os.path.exists(value) and re.search(r"[\s=,()]", value)):
             return argument
     except HydraException:
         pass

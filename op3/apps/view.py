@@ -140,7 +140,7 @@ def tracks_of(cfg: DictConfig) -> Tracks:
 
 def watch(cfg: DictConfig, out: Path) -> None:
     """Show a log while it is recorded, in a window, or as one line per second and a final video."""
-    if Path(cfg.what).is_file():
+    if os.path.isfile(cfg.what):
         raise ValueError(f"what={cfg.what}: live=true follows the folder of a log, or of a run of op3 deploy")
     coming = stretches(Path(cfg.what), cfg.model)
     if has_screen() and cfg.out is None:

@@ -53,7 +53,13 @@ def test_a_password_of_the_command_line_stays_in_the_environment(monkeypatch):
 def test_runs_of_one_second_have_folders_of_their_own_without_secrets(tmp_path):
     """Two recordings begun together are both there, and no file of theirs holds a path or a password."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "WANDB_API_KEY": ""}
-    command = [sys.executable, str(ROOT / "experiments" / "collect.py"), "motion=squat", "+note=ftp://me:s3cret@host/x"]
+    command = [
+        sys.executable,
+        str(ROOT / "experiments" / "collect.py"),
+        "motion=hold",
+        "motion.duration=1",
+        "+note=ftp://me:s3cret@host/x",
+    ]
     runs = [
         subprocess.Popen([*command, f"seed={seed}"], cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
         for seed in (0, 1)

@@ -12,11 +12,12 @@ from op3.replay.planned import planned_suite
 from op3.sim import load_model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "times",
     [
         {"command_latency": 0.0055, "current_time_constant": 0.007},
-        pytest.param({"command_latency": 0.0081, "current_time_constant": 0.0008}, marks=pytest.mark.slow),
+        {"command_latency": 0.0081, "current_time_constant": 0.0008},
     ],
 )
 def test_a_base_tells_what_is_late_and_how_velocity_is_estimated(times):
