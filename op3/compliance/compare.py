@@ -32,11 +32,11 @@ class Difference:
         """Measures in which the first policy is better, with an interval that excludes zero."""
         found = []
         if self.landing.force is not None and self.landing.force[2] < 0:
-            found.append("softer landings")
+            found.append("lands more softly")
         if self.bricks is not None and self.bricks[1] > 0:
-            found.append("more bricks passed")
+            found.append("passes more episodes on uneven ground")
         if self.push[1] > 0:
-            found.append("larger pushes")
+            found.append("withstands larger pushes")
         return found
 
 

@@ -41,7 +41,7 @@ def report_compliance(
     tables = _tables(measured, differences, energies) | (_gain_tables(known) if known else {})
     page = Page.of(
         "compliance", figures, tables, first=first, differences=differences, with_gains=next(iter(known), None),
-        better=[f"{', '.join(d.better)} than {label}" for label, d in differences.items() if d.better],
+        better=[f"{', '.join(d.better)} than `{label}`" for label, d in differences.items() if d.better],
     )  # fmt: skip
     values = {name: {_key(each.label): of(each) for each in measured} for name, of in NUMBERS.items()}
     values["gain"] = {_key(label): _gain_numbers(gains) for label, gains in known.items()}

@@ -50,4 +50,4 @@ def test_page_and_numbers(tmp_path):
     assert numbers["difference.stiff_one.bricks"][0] == 0.5
     assert numbers["led.soft.trunk_forwards.fall_force"] == 2.0
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert "softer landings, more bricks passed, larger pushes than stiff one" in page
+    assert "it lands more softly, passes more episodes on uneven ground, withstands larger pushes than" in page
