@@ -277,17 +277,21 @@ class Search:
         coordinates, point = stage.base.coordinates, stage.base.point
         best: dict[Hypothesis, Refit] = {}
 
-        def refit(joined: Coordinates, start: np.ndarray, variances: Variances, steps: int = 2) -> NamingStage:
+        def refit(
+            joined: Coordinates, start: np.ndarray, variances: Variances, steps: int = 2
+        ) -> tuple[Baseline, float]:
+            """The fit and its evidence; the linear model around it is not kept, because it takes 100 MB."""
             base = gauss_newton(self.reduction, joined, start, steps, variances, stage.base.linear)
             self.reduction.forget()
-            return self._stage(base, stage.named, stage.candidates, stage.columns, variances, 2, stage.judge.rows)
+            around = self._stage(base, stage.named, stage.candidates, stage.columns, variances, 2, stage.judge.rows)
+            return base, around.fit.evidence
 
-        def compared(index: int, end: NamingStage, control: float) -> Refit:
-            gain = end.fit.evidence - control + self._log_prior(stage, index, end.base.coordinates)
-            return Refit(gain, end.base, index)
+        def compared(index: int, end: tuple[Baseline, float], control: float) -> Refit:
+            base, evidence = end
+            return Refit(evidence - control + self._log_prior(stage, index, base.coordinates), base, index)
 
         alone = stage.judge.fit(variances=stage.fit.variances, rounds=2)
-        control = refit(coordinates, point, alone.variances).fit.evidence  # as many steps as with an effect
+        _, control = refit(coordinates, point, alone.variances)  # as many steps as with an effect
         for proposal in proposals:
             joined = self._joined(stage, proposal.index, proposal.share)
             stepped = np.clip(point + proposal.step, coordinates.low, coordinates.high)
@@ -298,14 +302,14 @@ class Search:
         # if joints stick, convergence is slow; gains of the baseline alone are not evidence
         first, *others = sorted(best.values(), key=lambda refit: -refit.log_odds)
         end = refit(first.base.coordinates, first.base.point, first.base.fit.variances, FEW_STEPS)
-        back = refit(coordinates, end.base.point[: len(point)], end.base.fit.variances, FEW_STEPS)
-        control = max(control, back.fit.evidence)
+        back, evidence = refit(coordinates, end[0].point[: len(point)], end[0].fit.variances, FEW_STEPS)
+        control = max(control, evidence)
         best[stage.candidates[first.index].hypothesis] = compared(first.index, end, control)
         for other in others[: MOST - 1]:
             if other.log_odds > self.settings.alarm:
                 end = refit(other.base.coordinates, other.base.point, other.base.fit.variances, FEW_STEPS)
                 best[stage.candidates[other.index].hypothesis] = compared(other.index, end, control)
-        return sorted(best.values(), key=lambda refit: -refit.log_odds), back.base
+        return sorted(best.values(), key=lambda refit: -refit.log_odds), back
 
     def _best_start(
         self, joined: Coordinates, points: Sequence[np.ndarray], limb: int | None = None

@@ -131,9 +131,9 @@ def check_card(folder: str | Path, bundle: PolicyBundle) -> Card:
         ValueError: if it has no card, or the card does not allow it.
     """
     card = find_card(folder)
-    remedy = f"make one with op3 evaluate policy={folder} task={bundle.manifest.task} card=true"
+    command = f"op3 evaluate policy={folder} task={bundle.manifest.task} card=true"
     if card is None:
-        raise ValueError(f"{folder} has no card ({CARD}), so its behaviour is untested: {remedy}")
+        raise ValueError(f"{folder} has no card ({CARD}), so its behaviour is untested: write one with {command}")
     if why := card.refusal(bundle):
-        raise ValueError(f"{folder} {why}: train another policy, or {remedy}")
+        raise ValueError(f"{folder} {why}: train another policy, or evaluate this one again with {command}")
     return card
