@@ -32,6 +32,10 @@ def op3() -> Callable[..., tuple[int, str]]:
     ("arguments", "sentence"),
     [
         (["trian"], "unknown command 'trian'; the nearest is 'train'"),
+        (
+            ["diagnose", "data=" + 300 * "a"],
+            "aaa: there is no such file or folder; correct the path",
+        ),  # too long for a path
         (["train", "task=wlak"], "task=wlak: there is no 'wlak' in the group task; the nearest is 'walk'"),
         (
             ["train", "task=walk", "task.rewards={mine: {weight: 1}}"],

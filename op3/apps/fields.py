@@ -2,7 +2,6 @@
 
 import dataclasses
 import glob
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -146,7 +145,7 @@ def check(cfg: DictConfig) -> None:
             raise ValueError(f"{name} must be {what}, got {shown(plain(cfg[name]))}")
     for name in LOGS:
         value = None if OmegaConf.is_missing(cfg, name) else cfg.get(name)
-        if isinstance(value, str) and not glob.has_magic(value) and not os.path.exists(value):
+        if isinstance(value, str) and not (glob.has_magic(value) or glob.glob(value)):
             raise ValueError(f"{name}={value}: there is no such file or folder; correct the path")
     baselines = BASELINES if "baseline" in cfg else ()  # then the policy may be a baseline too
     for name, known in {"policy": baselines, "baseline": baselines, "what": model_names()}.items():

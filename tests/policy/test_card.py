@@ -43,7 +43,9 @@ def test_what_a_robot_must_not_run(bundle, tmp_path, changed, sentence):
     """One sentence with the number, its limit and a remedy."""
     folder = bundle.save(tmp_path / "bundle")
     card_of(bundle, **changed).save(folder)
-    with pytest.raises(ValueError, match=f"{sentence}.*: train another policy, or evaluate this one again with op3 evaluate"):
+    with pytest.raises(
+        ValueError, match=f"{sentence}.*: train another policy, or evaluate this one again with op3 evaluate"
+    ):
         check_card(folder, bundle)
 
 
