@@ -32,10 +32,11 @@ def op3() -> Callable[..., tuple[int, str]]:
     ("arguments", "sentence"),
     [
         (["trian"], "unknown command 'trian'; the nearest is 'train'"),
-        (
+        pytest.param(
             ["diagnose", "data=" + 300 * "a"],
-            "aaa: there is no such file or folder; correct the path",
-        ),  # too long for a path
+            f"data={300 * 'a'}: there is no such file or folder; correct the path",
+            id="too-long-for-a-path",
+        ),
         (["train", "task=wlak"], "task=wlak: there is no 'wlak' in the group task; the nearest is 'walk'"),
         (
             ["train", "task=walk", "task.rewards={mine: {weight: 1}}"],
