@@ -231,7 +231,9 @@ def _window_tables(windows: WindowGaps | None) -> dict[str, TableRows]:
 
     rows = [
         [words(joint), name, in_thousandths(None, CHANNELS[name])[1], *row(of[name], 1e3)]
-        for joint, of in ({"all joints": windows.whole} | dict(windows.joints)).items()
+        for joint, of in (
+            ({"all joints": windows.whole} if len(windows.joints) > 1 else {}) | dict(windows.joints)
+        ).items()
         for name in CHANNELS
         if name in of
     ]
