@@ -25,7 +25,7 @@ def test_a_base_tells_what_is_late_and_how_velocity_is_estimated(times):
     times = times | {"velocity_time_constant": 0.012, "velocity_filter_shape": 1 / 3}
     runs = [run for run in leg_suite(3, 2.5) if run.motion.name.startswith("multisine")][:2]
     logs = planned_suite(with_chain(load_model("paper")).with_values(times), runs)
-    base = fit_base(Reduction(WindowResiduals(logs, windows=18)), load_model("paper"), np.random.default_rng(0))
+    base = fit_base(Reduction(WindowResiduals(logs, windows=36)), load_model("paper"), np.random.default_rng(0))
     found = {entry.parameter: value for entry, value in zip(base.coordinates.entries, base.point, strict=True)}
     for name, value in times.items():
         assert found[name] == pytest.approx(value, abs=0.0005 if value < 0.1 else 0.05)
